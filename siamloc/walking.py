@@ -29,7 +29,6 @@ from siamloc.data import (
     read,
 )
 from siamloc.data.extracting import writes_camera
-from siamloc.data.image_files import size_of
 from siamloc.data.manifest import manifest_of
 from siamloc.data.photo_sphere import stated
 from siamloc.data.picture_checks import drive_faults
@@ -144,7 +143,7 @@ def walk(
     wheels = "with" if np.isfinite(frames.odometry).any() else "without"
     say(f"recording: {len(frames)} pictures of {file} (recording.rate=), {wheels} odometry (recording.odometry=)")
     camera = replace(given, camera=find_camera(frames.path.tolist(), given.camera))
-    size = size_of(frames.path[0])
+    size = camera.usual_size(frames.path.tolist())
     shape = f" (unwrap=), for pictures of {size[1]} x {size[0]} px" if size else " (unwrap=)"
     placed = size is not None and stated(camera.camera, frames.path[0], size) != camera.camera
     ring, seen = camera.camera, ", each placed and levelled by what it says of itself" * placed

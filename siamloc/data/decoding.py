@@ -162,21 +162,23 @@ class Preprocessing:
         camera = self.camera
         if self.size is not None or (camera is not None and ":" in _name(type(camera))):  # one's own is told each size
             return self
-        sizes = Counter(self._sizes(spread(paths, _SIZED))) or Counter(islice(self._sizes(paths), 1))
-        if not sizes:
-            return self
-        rows, columns = sizes.most_common(1)[0][0]
-        with suppress(ConfigError):  # a calibrated camera refuses other sizes itself
-            if camera is None or in_pixels(camera, self.view, (rows, columns)):
-                return dataclasses.replace(self, size=(rows, columns))
+        with suppress(ConfigError):  # a calibrated camera refuses pictures that mostly have another size
+            if (size := self.usual_size(paths)) and (camera is None or in_pixels(camera, self.view, size)):
+                return dataclasses.replace(self, size=size)
         return self
 
-    def _sizes(self, paths: Iterable[str | Path]) -> Iterator[tuple[int, ...]]:
+    def usual_size(self, paths: Sequence[str | Path]) -> tuple[int, int] | None:
+        """Return the rows and columns of most of a few pictures of a list; None if none can be read."""
+        sizes = Counter(self._sizes(spread(paths, _SIZED))) or Counter(islice(self._sizes(paths), 1))
+        return sizes.most_common(1)[0][0] if sizes else None
+
+    def _sizes(self, paths: Iterable[str | Path]) -> Iterator[tuple[int, int]]:
         """Yield the rows and columns of the pictures that can be read."""
         light = dataclasses.replace(self, bits=16)  # which need not be counted
         for path in paths:
             with suppress(UnreadableImageError, DataError):
-                yield light._read(path).shape[:2]
+                rows, columns = light._read(path).shape[:2]
+                yield rows, columns
 
     def panorama(
         self, path: str | Path, tilt: NDArray[np.float64] | Sequence[float] | None = None
@@ -267,14 +269,14 @@ class Preprocessing:
         return unwrap(image, self.camera, view)
 
     def tilts(self, paths: Sequence[str | Path], count: int) -> NDArray[np.float64]:
-        """Return the roll and pitch (n, 2) in rad of up to `count` readable images, spread evenly over a list.
+        """Return the roll and pitch (n, 2) in rad of up to `count` images that can be used, spread evenly over a list.
 
         They are found by upright edges; what a picture says of its own tilt is taken out before.
         """
-        found = []
+        found, sized = [], self.sized_by(paths)
         for path in spread(paths, count):
-            with suppress(UnreadableImageError, DataError):
-                image, own = self._opened(path, levelled=False)
+            with suppress(UnreadableImageError, DataError, ConfigError):
+                image, own = sized._opened(path, levelled=False)
                 found.append(own._tilt(own._scaled(image)))
         return np.reshape(found, (-1, 2))
 

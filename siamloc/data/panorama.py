@@ -246,8 +246,11 @@ def seen(camera: OmnidirectionalCamera, view: PanoramaView, image_size: Sequence
 
 def in_pixels(camera: OmnidirectionalCamera, view: PanoramaView, image_size: tuple[int, int]) -> bool:
     """Return whether a camera's parameters count in pixels of images of one size, and not by their shape alone."""
-    rows, columns = image_size
-    one, other = (np.stack(camera.sampling(view, size)) for size in (image_size, (2 * rows, 2 * columns)))
+    one, (rows, columns) = np.stack(camera.sampling(view, image_size)), image_size
+    try:
+        other = np.stack(camera.sampling(view, (2 * rows, 2 * columns)))
+    except ConfigError:  # it was calibrated on images of this size
+        return True
     return not np.allclose(2 * one, other, atol=2, equal_nan=True)
 
 

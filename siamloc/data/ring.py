@@ -8,6 +8,7 @@ a robust fit give the rims.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -183,7 +184,7 @@ def _of_drive(given: AutoRing, paths: Sequence[str]) -> AutoRing:
             remedy = max(remedies, key=remedies.count, default=None) or (
                 "if the camera is another one, name it: unwrap=fisheye unwrap.fov=180 unwrap.elevation=90 "
                 "unwrap.roll=180 for a lens that looks up, for whole 360-degree pictures unwrap=equirectangular"
-                f"{two_views(*size_of(paths[0]) or (1, 0))}"
+                f"{two_views(*pictures[0].shape[:2] if pictures else (1, 0))}"
             )
             raise DataError(f"unwrap=auto finds no ring in {folder}: {error}; {remedy}") from error
         logger.info("%s: the given ring stays (%s)", folder, error)
@@ -287,12 +288,13 @@ def draw_ring(picture: Array, ring: PolarRing, view: PanoramaView | None = None)
 
 
 def _readable(paths: Sequence[str]) -> list[Array]:
-    """Return up to `_MOST` pictures of a drive, spread over it; those that cannot be read are left out."""
+    """Return up to `_MOST` pictures of a drive, spread over it, that can be read and have the size of most of them."""
     pictures = []
     for path in spread(paths, _MOST):
         with suppress(UnreadableImageError):
             pictures.append(read_image(path))
-    return pictures
+    sizes = Counter(picture.shape for picture in pictures)
+    return [picture for picture in pictures if picture.shape == sizes.most_common(1)[0][0]]
 
 
 def _shows_ring(pictures: Sequence[Array]) -> bool:

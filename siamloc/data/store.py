@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from foundation.files import atomic_folder, content_key, parsed_json, storage_er
 from foundation.locks import locked
 from foundation.threads import in_order, processors
 from siamloc.data.decoding import Preprocessing
-from siamloc.data.image_files import UnreadableImageError, bits_by_folder, size_of
+from siamloc.data.image_files import UnreadableImageError, bits_by_folder
 from siamloc.errors import ConfigError, DataError, leave_out, logger
 from siamloc.progress import track
 
@@ -156,6 +157,7 @@ def _write(
     size = [preprocessing.view.height, preprocessing.view.width]
     rejected: list[dict[str, Any]] = []
     kept = 0
+    usual = cache(lambda: preprocessing.usual_size(paths))
 
     def decode(row: int) -> NDArray[np.uint8] | UnreadableImageError:
         try:
@@ -163,10 +165,10 @@ def _write(
         except UnreadableImageError as error:
             return error
         except ConfigError as error:
-            (rows, columns), (usual_rows, usual_columns) = (size_of(paths[at]) or (0, 0) for at in (row, 0))
-            if rows and usual_rows and (rows, columns) != (usual_rows, usual_columns):
+            size, most = preprocessing.usual_size([paths[row]]), usual()
+            if size and most and size != most:
                 return UnreadableImageError(
-                    f"it has {columns} x {rows} px, and the first picture {usual_columns} x {usual_rows}: {error}"
+                    f"it has {size[1]} x {size[0]} px, and most have {most[1]} x {most[0]}: {error}"
                 )
             raise ConfigError(f"{paths[row]}: {error}") from error
 

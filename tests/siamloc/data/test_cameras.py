@@ -275,18 +275,32 @@ class Apart(OneWay):
         return rays[..., 0], rays[..., 1]
 
 
-def test_a_picture_of_another_shape_than_the_first_is_left_out_if_it_does_not_fit(tmp_path, caplog):
-    for name, rows in (("fits", 320), ("odd", 480)):
+def test_a_picture_of_another_shape_than_most_is_left_out_if_it_does_not_fit(tmp_path, caplog):
+    for name, rows in (("fits", 320), ("odd", 480), ("too", 320)):
         cv2.imwrite(str(tmp_path / f"{name}.png"), np.zeros((rows, 640, 3), np.uint8))
-    fits, odd = tmp_path / "fits.png", tmp_path / "odd.png"
+    fits, odd, too = (tmp_path / f"{name}.png" for name in ("fits", "odd", "too"))
     given = {"cache": tmp_path / "cache", "image_size": (8, 32), "unwrap": EquirectangularCamera()}
-    says = r"odd\.png .*it has 640 x 480 px, and the first picture 640 x 320: a whole equirectangular picture is"
+    says = r"odd\.png .*it has 640 x 480 px, and most have 640 x 320: a whole equirectangular picture is"
     assert PanoramaLibrary(FrameTable(path=[fits, odd]), **given).frames.path.tolist() == [str(fits)]
     assert re.search(rf"1 of 2 images cannot be read, the first: .*{says}", caplog.text)
     with pytest.raises(DataError, match=r"odd\.png cannot be read: it has 640 x 480 px"):
         PanoramaLibrary(FrameTable(path=[fits, odd]), **given | {"cache": tmp_path / "strict"}, on_error="raise")
     with pytest.raises(ConfigError, match=r"odd\.png: a whole equirectangular picture is twice as wide"):
         PanoramaLibrary(FrameTable(path=[odd, fits]), **given)
+    assert PanoramaLibrary(FrameTable(path=[odd, fits, too]), **given).rejected[0]["path"] == str(odd)
+    assert len(Preprocessing.checked((8, 32), EquirectangularCamera()).tilts([odd, fits, too], 3)) == 2
+
+
+def test_a_calibrated_camera_takes_pictures_of_its_shape_and_leaves_others_out(tmp_path, caplog):
+    for name, size in {"turned": (128, 96), "half": (48, 64), "a": (96, 128), "b": (96, 128), "c": (96, 128)}.items():
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.zeros((*size, 3), np.uint8))
+    frames = FrameTable(path=[str(tmp_path / f"{name}.png") for name in ("turned", "half", "a", "b", "c")])
+    given = {"image_size": (8, 32), "unwrap": FisheyeCamera(fov=280, **LOOKS_UP, image_size=(96, 128))}
+    images = PanoramaLibrary(frames, tmp_path / "cache", **given)
+    assert [item["path"] for item in images.rejected] == [str(tmp_path / "turned.png")]
+    assert "the pictures have 64 x 48 px, and the camera's parameters count in those of 128 x 96" in caplog.text
+    with pytest.raises(ConfigError, match=r"calibrated on pictures of 128 x 96 px, and this one has 64 x 48"):
+        PanoramaLibrary(frames.take([1]), tmp_path / "cache", **given)
 
 
 @pytest.mark.parametrize(
