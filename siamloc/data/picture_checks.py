@@ -135,14 +135,16 @@ def blur(grey: Array) -> str | None:
 
 
 def missing_azimuth(grey: Array) -> str | None:
-    """Look for columns of panoramas (n, H, W) that show nothing: not the full turn, or a mask."""
+    """Look for columns of panoramas (n, H, W) that show nothing: bars beside the pictures, or a mask."""
     empty = (grey.std(axis=1) < _EVEN).mean(axis=0) > 0.9
     if empty.sum() * 360 / len(empty) < _MISSING:
         return None
     azimuth = np.degrees(np.angle(np.exp(1j * column_azimuth(len(empty))[empty]).mean()))
+    where = f"{abs(azimuth):.0f} degrees to the {'left' if azimuth > 0 else 'right'} of their middle"
     return (
-        f"{empty.sum() * 360 / len(empty):.0f} degrees of the panoramas show nothing, around {azimuth:.0f} degrees to "
-        "the left of their middle: they are no full turn. Say how much they show (unwrap=equirectangular unwrap.turn)"
+        f"{empty.sum() * 360 / len(empty):.0f} degrees of the panoramas show nothing, around {where}: if these are "
+        "black bars beside the pictures, which count as a part of the turn, cut them off. A part that something covers "
+        "needs nothing"
     )
 
 
