@@ -80,10 +80,12 @@ class EquirectangularCamera(CentralCamera):
     def _fitting(self, size: ImageSize | None) -> ImageSize:
         rows, columns = super()._fitting(size)
         if self.whole and not twice_as_wide(rows, columns):
+            remedy = "cut black bars off, or of a part say unwrap.highest and unwrap.lowest in degrees"
+            if twice_as_wide(columns, rows):
+                remedy = "turn it upright, by 90 degrees"
             raise ConfigError(
                 f"a whole equirectangular picture is twice as wide as high, and this one has {columns} x {rows} px: "
-                "cut black bars off, or of a part say unwrap.highest and unwrap.lowest in degrees"
-                f"{two_views(rows, columns)}"
+                f"{remedy}{two_views(rows, columns)}"
             )
         return rows, columns
 

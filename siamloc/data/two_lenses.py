@@ -48,13 +48,14 @@ def wrong_lenses(picture: Array, camera: OmnidirectionalCamera) -> str | None:
 
     The two lenses are told from a whole picture by what they do not show. In the dark nobody can tell.
     """
-    if isinstance(camera, EquirectangularCamera) and camera.whole and two_circles(picture):
+    rows, columns = picture.shape[:2]
+    if isinstance(camera, EquirectangularCamera) and camera.whole and rows < columns and two_circles(picture):
         return (
             "it shows the circles of two fisheye lenses, and is no whole equirectangular picture: take "
             "unwrap=dual_fisheye, or join the two with the camera's program"
         )
     if isinstance(camera, DualFisheyeCamera):
-        unseen, few = _unseen(camera, *picture.shape[:2]), _few(picture)
+        unseen, few = _unseen(camera, rows, columns), _few(picture)
         if unseen.mean() > _LEAST and np.median(few[unseen]) > max(_DARK, _FLARE * np.median(few[~unseen])):
             return (
                 "it is not dark where two fisheye lenses show nothing, as if it were a whole equirectangular picture: "

@@ -411,7 +411,8 @@ class Localizer:
             return make.panorama(image, angles) if pixels is None else make.prepare(pixels, angles)
         except (UnreadableImageError, ConfigError) as error:  # damaged, or too small for the camera's ring
             what = image if pixels is None else f"an image of {pixels.shape[0]} x {pixels.shape[1]}"
-            raise DataError(f"{what} cannot be located: {error}") from error
+            whose = " (unwrap is that of the map, which the bundle keeps)" if "unwrap" in str(error) else ""
+            raise DataError(f"{what} cannot be located: {error}{whose}") from error
 
 
 def _check_motion(tracker: Tracker | None, motion: ArrayLike | None) -> None:

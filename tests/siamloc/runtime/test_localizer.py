@@ -196,6 +196,11 @@ def test_a_picture_that_does_not_fit_the_camera_does_not_end_the_drive(bundle, t
     assert second.location is not None
     with pytest.raises(DataError, match="an image of 20 x 20 cannot be located"):
         localizer.locate(np.full((20, 20, 3), 90, np.uint8))
+    whole = Preprocessing.checked((32, 128), {"kind": "equirectangular"})
+    localizer.bundle = replace(localizer.bundle, preprocessing=whole)
+    for size, says in (((60, 80), r"say unwrap\.highest .*\(unwrap is that of"), ((80, 40), "turn it upright")):
+        with pytest.raises(DataError, match=says):
+            localizer.locate(np.full((*size, 3), 90, np.uint8))
 
 
 def test_a_tilt_that_no_camera_model_takes_out_is_said_once(bundle, caplog):
