@@ -18,8 +18,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.image_files import UnreadableImageError, read_image, size_of, spread
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import diameter
-from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, seen
-from siamloc.data.photo_sphere import stated
+from siamloc.data.panorama import PanoramaView
 from siamloc.data.picture_checks import drive_faults
 from siamloc.data.picture_times import NO_DRIVE
 from siamloc.data.trajectory_checks import other_unit
@@ -259,13 +258,11 @@ def _drives(frames: FrameTable) -> Iterator[str]:
 def wrong_sizes(frames: FrameTable, images: PanoramaLibrary | None) -> Iterator[str]:
     """Check the sizes of some images."""
     counts: Counter[tuple[int, int]] = Counter()
-    shown: dict[tuple[int, int], str] = {}
     for path in spread(frames.path, _PROBED):
         with suppress(UnreadableImageError):
             rows, columns = read_image(path).shape[:2]
             counts[rows, columns] += 1
-            shown[rows, columns] = path
-    camera = next(iter(images.cameras.values())) if images is not None else None
+    drive, camera = next(iter(images.cameras.items())) if images is not None else ("", None)
     placed = getattr(camera, "whole", False)  # pictures of another shape say what they show
     if len({round(width / height, 1) for height, width in counts}) > 1 and not placed:
         listed = ", ".join(f"{width} x {height} px ({count})" for (height, width), count in counts.items())
@@ -275,11 +272,11 @@ def wrong_sizes(frames: FrameTable, images: PanoramaLibrary | None) -> Iterator[
         )
     if images is None or not counts:
         return
-    height, width = counts.most_common(1)[0][0]
     if camera is not None:
-        own = stated(camera, shown[height, width], (height, width))
-        yield from _unseen(own, images.preprocessing.view, (height, width))
+        if (sees := images.seen(drive)) is not None:
+            yield from _unseen(sees, images.preprocessing.view)
         return
+    height, width = counts.most_common(1)[0][0]
     if np.nan_to_num(frames.tilt).any():
         yield (
             "the robot's roll and pitch are known, but images that are only resized are not levelled: choose their "
@@ -305,9 +302,8 @@ def _are_rings(frames: FrameTable, images: PanoramaLibrary) -> bool:
     return shape <= _PANORAMIC and images.image_size[1] / images.image_size[0] > 1.5 * shape
 
 
-def _unseen(camera: OmnidirectionalCamera, view: PanoramaView, size: tuple[int, int]) -> Iterator[str]:
-    """Report how much of the panorama the camera does not see."""
-    sees = seen(camera, view, size)
+def _unseen(sees: NDArray[np.bool_], view: PanoramaView) -> Iterator[str]:
+    """Report how much of the panorama the camera does not see, by the pixels that it sees (H, W)."""
     if sees.mean() < 0.98:
         rows = np.degrees(view.row_elevation())[(sees.mean(axis=1) > 0.98)]
         whole = f"it sees all around from {rows.max():.0f} to {rows.min():.0f}" if len(rows) else "in no row all around"

@@ -17,7 +17,6 @@ from foundation.settings import Thousand, shortened
 from siamloc.data.cameras import twice_as_wide
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable
-from siamloc.data.image_files import size_of
 from siamloc.data.panorama import OmnidirectionalCamera, seen
 from siamloc.data.photo_sphere import is_equirectangular, stated
 from siamloc.data.ring import fitted
@@ -176,7 +175,7 @@ class PanoramaLibrary:
             None without a camera, or if the picture cannot be read any more or does not fit the camera.
         """
         path = str(self.frames.path[self.frames.sequence == sequence][0])
-        camera, size = self.cameras[sequence], self.sizes[sequence] or size_of(path)
+        camera, size = self.cameras[sequence], self.sizes[sequence] or self.preprocessing.usual_size([path])
         if camera is not None and size is not None:
             with suppress(ConfigError):  # a picture of another shape
                 return seen(stated(camera, path, size), self.preprocessing.view, size)

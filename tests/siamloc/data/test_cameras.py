@@ -21,6 +21,7 @@ from siamloc.data import (
     PanoramaLibrary,
     PanoramaView,
     UnifiedCamera,
+    check,
     seen,
     unwrap,
 )
@@ -172,6 +173,10 @@ def test_two_pictures_of_two_lenses_are_read_as_one(tmp_path):
     made = Preprocessing.checked((16, 64), {"kind": "dual_fisheye", "second": ["_00_", "_10_"]})
     np.testing.assert_array_equal(made.panorama(tmp_path / "a_00_1.png"), made.prepare(whole))
     assert made.files(tmp_path / "a_00_1.png")[1].name == "a_10_1.png"
+    frames = FrameTable(path=[tmp_path / "a_00_1.png"])
+    images = PanoramaLibrary(frames, tmp_path / "cache", image_size=(16, 64), unwrap=made.camera)
+    assert images.seen("").all()
+    assert not any("see" in one for one in check(frames, images))
     cv2.imwrite(str(tmp_path / "a_10_1.png"), whole)
     with pytest.raises(UnreadableImageError, match=r"second picture a_10_1\.png has another size"):
         made.panorama(tmp_path / "a_00_1.png")
