@@ -188,7 +188,9 @@ def _made(name: str, image_size: tuple[int, int], state: Mapping[str, Tensor] | 
         return cast(nn.Module, timm().create_model(own, **fixed, **loaded))
     from torchvision import models
 
-    return models.get_model(own, weights=None)
+    # As the library makes these two: its weights for them are for inputs in [-1, 1].
+    inputs = {"transform_input": state is not None, "init_weights": True}
+    return models.get_model(own, weights=None, **(inputs if own in ("googlenet", "inception_v3") else {}))
 
 
 def _factory(name: str) -> Callable[[], Any]:
@@ -216,6 +218,8 @@ def _card(name: str, network: nn.Module) -> tuple[Sequence[float], Sequence[floa
     card = getattr(network, "pretrained_cfg", None)
     if isinstance(card, Mapping) and "mean" in card:
         return card["mean"], card["std"]
+    if getattr(network, "transform_input", False):  # torchvision turns ImageNet's normalization into this one
+        return (0.5,) * 3, (0.5,) * 3
     if name.startswith("torchvision/"):
         from torchvision import models
 

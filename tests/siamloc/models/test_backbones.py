@@ -13,6 +13,7 @@ from torch import nn
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, FormatError
 from siamloc.models import DistillationLoss, as_descriptor, build, load, save_weights, stages
+from siamloc.models.branch import Branch
 from siamloc.runtime import export_onnx
 
 ensure_torchvision()
@@ -158,6 +159,18 @@ def test_images_are_normalized_as_the_model_card_says(name, mean):
     grey = torch.full((1, 3, *SIZE), mean)
     assert branch.normalized(grey)[:, 0].abs().max() < 1e-6
     assert build(name, "gem", SIZE, normalize="image").branch.normalized(grey).abs().max() < 1e-2
+
+
+def test_googlenet_sees_images_as_torchvision_shows_them(tmp_path):
+    torch.manual_seed(5)
+    published = models.googlenet(transform_input=True, init_weights=False).eval()
+    torch.save(published.state_dict(), tmp_path / "googlenet.pth")
+    images, seen = torch.rand(1, 3, *SIZE), []
+    published.avgpool.register_forward_pre_hook(lambda _, inputs: seen.extend(inputs))
+    with torch.no_grad():
+        published(Branch("simple1").normalized(images))  # with ImageNet's mean and deviation
+        for source, weights in (("torchvision/googlenet", tmp_path / "googlenet.pth"), (published, None)):
+            torch.testing.assert_close(build(source, "gem", SIZE, weights=weights).eval().branch(images), seen[0])
 
 
 @pytest.mark.parametrize("name", ["timm/test_resnet", "timm/test_vit", "torchvision/mobilenet_v3_small"])
