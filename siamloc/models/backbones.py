@@ -231,7 +231,7 @@ def _card(name: str, network: nn.Module) -> tuple[Sequence[float], Sequence[floa
 def _features(network: nn.Module, example: Tensor) -> nn.Module:
     """Return the part of a network that gives its features: (B, 3, H, W) -> (B, C, h, w)."""
     ensure_torchvision()
-    from torchvision.models import SwinTransformer, VisionTransformer
+    from torchvision.models import DenseNet, SwinTransformer, VisionTransformer
 
     if hasattr(network, "forward_intermediates"):
         return _timm_features(network, example)
@@ -239,6 +239,7 @@ def _features(network: nn.Module, example: Tensor) -> nn.Module:
         return _Tokens(network, (example.shape[2], example.shape[3]))
     if type(network).__module__.startswith("torchvision.models."):
         parts = [part for name, part in network.named_children() if name not in _AFTER]
+        parts += [nn.ReLU(inplace=True)] if isinstance(network, DenseNet) else []  # no module of the library's class
         flat = [one for part in parts for one in (part if isinstance(part, nn.ModuleList) else [part])]
         layers = nn.Sequential(*(one for part in flat for one in (part if isinstance(part, nn.Sequential) else [part])))
         return nn.Sequential(layers) if isinstance(network, SwinTransformer) else layers

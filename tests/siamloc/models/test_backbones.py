@@ -173,6 +173,15 @@ def test_googlenet_sees_images_as_torchvision_shows_them(tmp_path):
             torch.testing.assert_close(build(source, "gem", SIZE, weights=weights).eval().branch(images), seen[0])
 
 
+def test_the_features_of_a_densenet_are_what_its_classes_are_made_of():
+    torch.manual_seed(0)
+    published = models.DenseNet(4, (1, 1), 8, bn_size=2).eval()
+    images, features = torch.rand(1, 3, *SIZE), published.features
+    with torch.no_grad():
+        expected = features(Branch("simple1").normalized(images)).relu()
+        torch.testing.assert_close(build(published, "gem", SIZE).eval().branch(images), expected)
+
+
 @pytest.mark.parametrize("name", ["timm/test_resnet", "timm/test_vit", "torchvision/mobilenet_v3_small"])
 def test_random_weights_follow_the_seed_alone(name):
     state = torch.random.get_rng_state()
