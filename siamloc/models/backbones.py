@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
@@ -138,12 +139,14 @@ def make_backbone(
         name, network = type(source).__qualname__, source
     else:
         name = source
-        with torch.random.fork_rng(devices=[]), _explained(name, image_size):
+        with torch.random.fork_rng(devices=[]), _explained(f"{name} cannot be made for images", image_size):
             torch.manual_seed(seed)
             network = _made(name, image_size, state)
     if state is not None and not name.startswith("timm/"):
+        weights = OrderedDict(state)
+        weights._metadata = {"": {"version": network._version}}  # type: ignore[attr-defined]  # a few classes ask for it
         try:
-            network.load_state_dict(dict(state))
+            network.load_state_dict(weights)
         except RuntimeError as error:
             raise ConfigError(f"the weights are of another architecture than {name}: {in_one_line(error)}") from error
     return Backbone(name, network.train(), image_size, circular, normalize)

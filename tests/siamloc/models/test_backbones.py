@@ -192,7 +192,9 @@ def test_random_weights_follow_the_seed_alone(name):
     assert torch.equal(state, torch.random.get_rng_state())
 
 
-@pytest.mark.parametrize("name", ["timm/test_resnet", "timm/test_vit", "torchvision/mobilenet_v3_small"])
+@pytest.mark.parametrize(
+    "name", ["timm/test_resnet", "timm/test_vit", "torchvision/mobilenet_v3_small", "torchvision/mnasnet0_5"]
+)
 def test_weights_come_from_a_file_of_the_source(name, tmp_path):
     source, _, own_name = name.partition("/")
     torch.manual_seed(5)
