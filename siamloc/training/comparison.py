@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from foundation.calls import typed
-from siamloc.comparison import Comparison, differing, flat
+from siamloc.comparison import Comparison, differing, files_named, flat
 from siamloc.errors import ConfigError, hint
 from siamloc.runs import Run, higher_is_better
 
@@ -16,6 +16,7 @@ _CHOSEN_BY = ("val/error", "val/room", "val/loss")
 _MEASURED = ("epoch", "finished", "run")
 # Only locations, or what follows from the rest.
 _LEFT_OUT = ("frames", "data.cache", "data.name", "model.image_size")
+_NAME = "name the folder of a sweep, such as runs/sweep"
 
 
 @typed
@@ -23,7 +24,7 @@ def compare(runs: str | Path | Iterable[str | Path | Run], by: str | None = None
     """Compare runs, of a sweep or any others, by their best epochs.
 
     Args:
-        runs: a folder with runs in it, such as the folder of a sweep; or the folders of runs.
+        runs: a run, or a folder with runs in it, such as the folder of a sweep; or several of them.
         by: the figure of the curves to rank by, such as "val/error"; if None, the figure that chose the checkpoints.
             Higher is better for recall, accuracies, rooms, spreads and distances of two rooms; lower for all others.
 
@@ -62,14 +63,16 @@ def compare(runs: str | Path | Iterable[str | Path | Run], by: str | None = None
 
 
 def _opened(runs: str | Path | Iterable[str | Path | Run]) -> list[Run]:
-    where = ""
-    if isinstance(runs, (str, Path)):
-        where = f" in the folder {runs}"
-        runs = [record.parent for record in sorted(Path(runs).glob("**/run.json"))]
-    found = [run if isinstance(run, Run) else Run(Path(run)) for run in runs]
+    found: dict[Path, Run] = {}
+    for one in [runs] if isinstance(runs, str | Path) else runs:
+        records = [] if isinstance(one, Run) else files_named(Run(Path(one)).folder, "run.json")
+        inside = [one] if isinstance(one, Run) else [Run(record.parent) for record in records]
+        if not inside:
+            raise ConfigError(f"there are no runs to compare in the folder {one}: {_NAME}")
+        found |= {run.folder: run for run in inside}
     if not found:
-        raise ConfigError(f"there are no runs to compare{where}: name the folder of a sweep, such as runs/sweep")
-    return found
+        raise ConfigError(f"there are no runs to compare: {_NAME}")
+    return list(found.values())
 
 
 def _measured(run: Run, curves: Mapping[str, Any], by: str) -> dict[str, Any]:

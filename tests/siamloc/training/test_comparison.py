@@ -55,6 +55,14 @@ def test_of_rooms_and_accuracies_the_highest_is_the_best(tmp_path):
     assert [(row["seed"], row["val/accuracy"], row["epoch"]) for row in found] == [(1, 0.9, 1), (0, 0.3, 3)]
 
 
+def test_sweeps_and_runs_are_compared_together(tmp_path):
+    for seed, name in enumerate(("sweep/a", "sweep/b", "further/c")):
+        make(tmp_path / name, {"val/error": [0.9, 0.5 + seed]}, seed=seed)
+    single = make(tmp_path / "d", {"val/error": [0.1]}, seed=3)
+    found = compare([tmp_path / "sweep", tmp_path / "sweep/a", tmp_path / "further", single])
+    assert [row["seed"] for row in found.rows] == [3, 0, 1, 2]
+
+
 def test_a_run_without_a_figure_comes_last(tmp_path):
     runs = [make(tmp_path / "a", {}), make(tmp_path / "b", {"val/loss": ["", 0.5]}, seed=1)]
     found = compare(runs)
@@ -66,10 +74,13 @@ def test_a_run_without_a_figure_comes_last(tmp_path):
 
 
 def test_mistakes_are_named(tmp_path):
-    for runs, says in (("nowhere", "in the folder nowhere: name"), (tmp_path, "no runs to"), ([], "compare: name")):
+    for runs, says in (("nowhere", "is no folder nowhere: name"), (tmp_path, "no runs to"), ([], "compare: name")):
         with pytest.raises(ConfigError, match=says):
             compare(runs)
     make(tmp_path / "a", {})
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ConfigError, match=r"no runs to compare in the folder .*empty"):
+        compare([tmp_path / "a", tmp_path / "empty"])
     with pytest.raises(ConfigError, match="finished an epoch"):
         compare(tmp_path)
     make(tmp_path / "b", {"val/error": [1, 2]}, seed=1)
