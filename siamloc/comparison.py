@@ -56,13 +56,15 @@ class Comparison:
         return self.rows[0]
 
     def verdict(self) -> str:
-        """Return a sentence that names the best row."""
+        """Return a sentence that names the best row, and counts those that are as good."""
         folder = self.best[self.measured[-1]]
         if math.isnan(self.best[self.by]):
             return f"best: none, {self.by} is not known of any"
         cells = dict(zip(self.columns, self.summary().cells[0], strict=True))
         said = [f"{name}={cells[name]}" for name in self.differing]
-        return f"best: {', '.join([*said, f'{self.by} {cells[self.by]}'])}, in {folder}"
+        equal = sum(row[self.by] == self.best[self.by] for row in self.rows) - 1
+        more = f", and {equal} more with the same {self.by}" if equal else ""
+        return f"best: {', '.join([*said, f'{self.by} {cells[self.by]}'])}, in {folder}{more}"
 
     def summary(self) -> Table:
         """Return the rows as a table, labelled by the settings."""

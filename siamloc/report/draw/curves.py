@@ -238,9 +238,10 @@ def swept_curves(
     for i, (label, points) in enumerate(lines.items()):
         look = {**series_look(i), **({} if numeric else {"linestyle": "none", "markersize": 5})}
         axes.plot(*zip(*sorted(points), strict=True), label=label, **look)
-    best = (max if highest else min)(usable, key=lambda row: row[by])
+    best = (max if highest else min)(row[by] for row in usable)
+    ringed = [places[_shown(row[against])] for row in usable if row[by] == best]
     ring: dict[str, Any] = {"marker": "o", "markersize": 10, "markerfacecolor": "none", "markeredgecolor": INK}
-    axes.plot([places[_shown(best[against])]], [best[by]], linestyle="none", label=f"best: {best[by]:.4g}", **ring)
+    axes.plot(ringed, [best] * len(ringed), linestyle="none", label=f"best: {best:.4g}", **ring)
     if numeric and min(values) > 0 and max(values) >= _LOG_FROM * min(values):
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter("{x:g}")

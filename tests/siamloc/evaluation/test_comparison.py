@@ -53,6 +53,8 @@ def test_rows_hold_what_was_swept_and_the_measures_and_the_best_comes_first(meas
     assert found.best["queries"] == 12
     assert found.verdict() == f"best: descriptor.bins=16, error 0.5, in {(tmp_path / 'b').as_posix()}"
     assert repr(found) == found.table()
+    write(measured, tmp_path / "c", 0.5, {"descriptor.bins": 32, "distance": "cosine"})
+    assert compare(tmp_path).verdict() == f"{found.verdict()}, and 1 more with the same error"
 
 
 def test_other_measures_can_count_and_the_highest_recall_is_the_best(measured, tmp_path):

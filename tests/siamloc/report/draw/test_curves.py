@@ -155,6 +155,8 @@ def test_a_line_for_each_combination_against_the_first_setting_with_numbers_that
 def test_the_highest_may_be_the_best_and_another_setting_may_be_chosen():
     found = lines_of(swept_curves(ROWS, ["distance", "seed", "bins"], "error", "seed", highest=True))
     assert found["best: 15.2"] == [[1, 15.2]]
+    equal = [{"bins": bins, "error": error} for bins, error in ((4, 0.3), (8, 0.4), (16, 0.3))]
+    assert lines_of(swept_curves(equal, ["bins"], "error"))["best: 0.3"] == [[4, 0.3], [16, 0.3]]
     assert len(found) == 7
 
 
