@@ -52,7 +52,7 @@ class Backbone(Branch):
             raise ConfigError(f"the first layer of {name} has three channels: leave normalize={normalize} out")
         self.normalize_with(*_card(name, network))
         network.eval()
-        with _explained(name, image_size), torch.no_grad():
+        with _explained(f"{name} does not take images", image_size), torch.no_grad():
             example = torch.zeros(1, 3, *image_size)
             features = _features(network, example)
             self.features = features if isinstance(features, nn.Sequential) else nn.Sequential(features)
@@ -209,10 +209,10 @@ def _factory(name: str) -> Callable[[], Any]:
     is_class = isinstance(found, type) and issubclass(found, nn.Module)
     is_function = isinstance(found, FunctionType) and found.__module__.partition(".")[0] not in sys.stdlib_module_names
     if not (is_class or is_function):
-        wrong = f"import the module {module} first (on the command line give model/branch={name})"
+        wrong = f"the module {module} is not imported: import it first (on the command line give model/branch={name})"
         if module in sys.modules:
-            wrong = f"but the module {module} has no function or torch module {function!r}"
-        raise ConfigError(f"the branch {name} names a function or class of your own that takes no arguments, {wrong}")
+            wrong = f"the module {module} has no function or torch module {function!r}"
+        raise ConfigError(f"the branch {name} must be a function or class of your own that takes no arguments; {wrong}")
     return cast("Callable[[], Any]", found)
 
 
@@ -256,8 +256,9 @@ def _features(network: nn.Module, example: Tensor) -> nn.Module:
 
 
 def _timm_features(network: Any, example: Tensor) -> nn.Module:
-    patch = getattr(getattr(network, "patch_embed", None), "patch_size", None) or (1, 1)
-    _check_patches(example, int(patch[0]), int(patch[1]))
+    patches = getattr(getattr(network, "patch_embed", None), "proj", None)
+    if isinstance(patches, nn.Conv2d) and patches.kernel_size == patches.stride:  # others overlap
+        _check_patches(example, *patches.kernel_size)
     for norm in (True, False):
         try:
             made = _Timm(network, norm)
@@ -329,13 +330,13 @@ def _check_patches(example: Tensor, rows: int, columns: int) -> None:
 
 
 @contextmanager
-def _explained(name: str, image_size: tuple[int, int]) -> Iterator[None]:
-    """Turn whatever a network of others raises into one sentence."""
+def _explained(failed: str, image_size: tuple[int, int]) -> Iterator[None]:
+    """Turn whatever a network of others raises into one sentence, which begins with what failed."""
     try:
         yield
     except SiamlocError:
         raise
     except Exception as error:
         raise ConfigError(
-            f"{name} cannot be made for images of {image_size[0]} x {image_size[1]} pixels: {in_one_line(error)}"
+            f"{failed} of {image_size[0]} x {image_size[1]} pixels, in its own words: {in_one_line(error)}"
         ) from error

@@ -238,7 +238,7 @@ def find_weights(branch: str, weights: str | PathLike[str] | Run) -> Weights:
     if isinstance(weights, Run):
         return read_weights(weights.checkpoint())
     if weights == "siamloc":
-        return replace(read_weights(PRETRAINED), origin="the weights that ship with siamloc")
+        return replace(read_weights(PRETRAINED), origin="the network that ships with siamloc")
     path = Path(weights).expanduser()
     if path.is_dir() and not _NAMES.fullmatch(str(weights)):
         return read_weights(Run(path).checkpoint())

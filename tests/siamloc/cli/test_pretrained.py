@@ -105,4 +105,4 @@ def test_training_starts_from_it(capsys):
         config = composed("train", words)
         started = siamloc.models.build(**config.model.arguments(), image_size=(64, 256)).state_dict()
         assert all((started[name] == value).all() for name, value in held.items())
-        assert f"the {what} starts from the weights that ship with siamloc" in capsys.readouterr().err
+        assert f"the {what} starts from the network that ships with siamloc" in capsys.readouterr().err

@@ -92,6 +92,11 @@ def test_a_convolutional_network_describes_and_finds_headings(name):
     assert stages(network)[0] == [f"branch.{key}" for key, _ in network.branch.named_parameters()]
 
 
+@pytest.mark.parametrize(("name", "grid"), [("timm/pvt_v2_b0", (2, 4)), ("timm/xcit_nano_12_p8_224", (8, 16))])
+def test_patches_that_overlap_need_not_divide_images(name, grid):
+    assert build(name, "gem", (64, 128)).grid == grid
+
+
 @pytest.mark.parametrize("name", TRANSFORMERS)
 def test_the_tokens_of_a_transformer_are_a_map(name):
     network = build(name, "magnitudes", (64, 128))
@@ -267,10 +272,10 @@ def test_timm_that_is_missing_is_named(monkeypatch):
         ("torchvision/resnet1", SIZE, {}, "torchvision has no network 'resnet1'.*did you mean 'resnet"),
         ("keras/resnet", SIZE, {}, "give timm/NAME, torchvision/NAME, package.module:factory"),
         ("vgg17", SIZE, {}, "did you mean 'vgg1.'.*timm/NAME"),
-        ("not_imported:factory", SIZE, {}, "import the module not_imported first"),
+        ("not_imported:factory", SIZE, {}, "arguments; the module not_imported is not imported: import it first"),
         # A file calls no function of Python itself.
         *((name, SIZE, {}, "has no function or torch module") for name in ("sys:exit", "os:getpid", "builtins:input")),
-        ("siamloc_own_networks:missing", SIZE, {}, "no arguments, but the module .* torch module 'missing'"),
+        ("siamloc_own_networks:missing", SIZE, {}, "no arguments; the module .* torch module 'missing'"),
         ("siamloc_own_networks:nothing", SIZE, {}, "must give a torch module, got int"),
     ],
 )
@@ -292,6 +297,8 @@ def test_a_module_that_is_handed_in_is_loaded_into_another():
     assert build(Pooled(), "gem", SIZE).grid == (1, 1)
     with pytest.raises(ConfigError, match=r"must give \(B, C, h, w\) or \(B, D\).*got \(1, 3, 4096\)"):
         build(nn.Flatten(2), "gem", SIZE)
+    with pytest.raises(ConfigError, match=r"Linear does not take images of 32 x 128 pixels, in its own words: .*mat1"):
+        build(nn.Linear(5, 5), "gem", SIZE)
 
 
 def test_a_module_that_is_handed_in_is_saved_with_the_arguments_of_its_network(tmp_path):
