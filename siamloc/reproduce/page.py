@@ -25,8 +25,9 @@ lack what it compares, if all compared numbers are equal, or if they differ by l
 between seeds and choices of frames. This spread is the largest of the experiments of the same kind that were repeated,
 as `benchmarks/results/spreads.json` has it, for maps that of spectral clustering; for errors of trained networks it is
 that of `augmentation_training.json`. Claims that the document's own numbers contradict come first and are counted
-apart, whatever ours say. The notes of a part say what is known about why a claim does not hold here; if they say
-nothing, we know of no reason. Neither the building nor a check is tuned to a claim.
+apart, whatever ours say. A claim that several parts check stands in the row of each, but counts once in the totals, by
+its worst verdict. The notes of a part say what is known about why a claim does not hold here; if they say nothing, we
+know of no reason. Neither the building nor a check is tuned to a claim.
 """
 
 
