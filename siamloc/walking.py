@@ -140,8 +140,10 @@ def walk(
         Preprocessing.checked(PRETRAINED_SIZE, settings.unwrap)  # before the long work
     frames = extract(file, folder / "frames", second=settings.unwrap.get("second"), settings=settings.recording)
     given = Preprocessing.checked(PRETRAINED_SIZE, settings.unwrap)
-    wheels = "with" if np.isfinite(frames.odometry).any() else "without"
-    say(f"recording: {len(frames)} pictures of {file} (recording.rate=), {wheels} odometry (recording.odometry=)")
+    wheels = int(np.isfinite(frames.odometry).all(axis=1).sum())
+    share = f" of {wheels} of them" if 0 < wheels < len(frames) else ""
+    has = f"{'with' if wheels else 'without'} odometry{share} (recording.odometry=)"
+    say(f"recording: {len(frames)} pictures of {file} (recording.rate=), {has}")
     camera = replace(given, camera=find_camera(frames.path.tolist(), given.camera))
     size = camera.usual_size(frames.path.tolist())
     shape = f" (unwrap=), for pictures of {size[1]} x {size[0]} px" if size else " (unwrap=)"
@@ -163,7 +165,7 @@ def walk(
                 f"rims: the inner rim is taken for {low:.0f} degrees of elevation, since no mirror that is built shows "
                 f"{usual_low:g} in such a ring: a calibrated camera is more exact (unwrap=calibrated)"
             )
-    if wheels == "without" and isinstance(given.camera, AutoRing) and isinstance(ring, HyperbolicMirror | PolarRing):
+    if not wheels and isinstance(given.camera, AutoRing) and isinstance(ring, HyperbolicMirror | PolarRing):
         mirrored = "mirrored" if ring.mirrored else "not mirrored"
         say(f"direction: the robot is taken to drive ahead, and the picture to be {mirrored} (unwrap.mirrored=)")
     open_ = settings.unwrap.get("level") is None and camera.elevations is not None

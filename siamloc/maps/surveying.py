@@ -67,8 +67,8 @@ class SurveySettings(Settings):
             least two in each.
         drift: standard deviation of the heading by odometry after a metre, in degrees; it grows with the root of the
             way.
-        height: height of the camera above the floor, in metres, which gives the scale where neither odometry nor two
-            anchors do.
+        height: height of the camera above the floor, in metres, which gives the scale where neither odometry of all
+            frames nor two anchors do.
     """
 
     WHERE = "survey"
@@ -91,8 +91,9 @@ class Survey:
         loops: all loops that were considered, with the reason why each is used or not; rows count in `frames`.
         graph: what was measured, without loops: compared frames that follow each other, and odometry if it is used.
         solution: scales, gyro biases and weights.
-        fixed_by: "anchors", "odometry", "height" (of the camera) or "pictures": what fixes the scale. Only anchors fix
-            position and direction of the whole; without them the first frame lies at 0 and looks along x.
+        fixed_by: "anchors", "odometry", "height" (of the camera), "odometry and height" or "pictures": what fixes the
+            scale. Only anchors fix position and direction of the whole; without them the first frame lies at 0 and
+            looks along x.
         notes: sentences about parts of the data that were not used.
         floor: what the floor says about displacements, None where it was not used.
     """
@@ -182,10 +183,10 @@ def survey(
 ) -> Survey:
     """Estimate the poses of the frames of one or several drives; positions in `frames` are not used.
 
-    With odometry, its scale is a little uncertain and its gyro has a bias, both of which are estimated along. Without
-    odometry, the floor that the robot drives over tells how lengths in one part of the building compare with those in
-    another, and what they are in metres if the height of the camera is known (`settings.height`). Without that and
-    anchors, the scale is that of the network, which is off by some percent.
+    With odometry, its scale is a little uncertain and its gyro has a bias, both of which are estimated along. Unless
+    all frames have it, the floor that the robot drives over tells how lengths in one part of the building compare with
+    those in another, and what they are in metres if the height of the camera is known (`settings.height`). Without
+    that, odometry and anchors, the scale is that of the network, which is off by some percent.
 
     Args:
         network: a network that compares images, built with relative=True; "pretrained" is the shipped one.
@@ -293,12 +294,13 @@ def of_descriptions(
     moved = odometry_steps(frames.odometry, seen, certain, drive, names, notes, frames.time)
     known = certain | np.isfinite(moved).all(axis=1)
     scale: FloorScale | None = None
-    if np.isfinite(moved).any():
+    if np.isfinite(moved[drive[1:] == drive[:-1]]).all():
         if settings.height is not None:
             notes.append("odometry tells the scale: the height of the camera is not used")
     elif looks_down is not None:
         floor = looks_down[0]()
-        told = _told_by_floor(floor, looks_down[1], steps, seen, settings.height, notes, anchors)
+        scale_known = bool(np.isfinite(moved).any()) or (anchors is not None and len(anchors) > 1)
+        told = _told_by_floor(floor, looks_down[1], steps, seen, settings.height, notes, scale_known)
         if told is not None:
             scale, steps = told
             compared, next_one = lengthening(compared, scale, floor), steps.second == steps.first + 1
@@ -340,8 +342,9 @@ def concluded(
     """
     whole, solution, loops = solved(graph, loops, start)
     notes = [*notes, *solution_notes(frames, graph, whole, solution, loops)]
-    by = "height" if floor is not None and floor.given else "pictures"
-    by = "anchors" if len(graph.fixed) > 1 else "odometry" if len(graph.wheels) else by
+    height = floor is not None and floor.given
+    by = " and ".join(["odometry"] * (len(graph.wheels) > 0) + ["height"] * height) or "pictures"
+    by = "anchors" if len(graph.fixed) > 1 else by
     x, y, theta = solution.poses.T
     covariance, scale_deviation = covariances(whole, solution), 0.0
     if by != "anchors":
@@ -374,7 +377,7 @@ def _told_by_floor(
     seen: Array,
     height: float | None,
     notes: list[str],
-    anchors: FrameTable | None,
+    scale_known: bool,
 ) -> tuple[FloorScale, Edges] | None:
     gap = np.nan_to_num(np.hypot(seen[:, 0], seen[:, 1]), nan=100.0)  # metres, between drives
     told = floor_scale(floor, steps, np.concatenate([[0.0], np.cumsum(gap)]), height)
@@ -383,7 +386,7 @@ def _told_by_floor(
             "the height of the camera is not used: the floor shows too little, frames are too far apart, or the height "
             f"in metres is another one{'' if known else ', or the panoramas show other elevations than assumed'}"
         )
-    elif told is not None and known and height is None and (anchors is None or len(anchors) < 2):
+    elif told is not None and known and height is None and not scale_known:
         notes.append(
             f"the scale is right if the camera is {told[0].height:.2f} m above the floor: if not, give its height "
             "(survey.height)"

@@ -129,7 +129,7 @@ def test_a_pitched_camera_tells_the_same_lengths(drive, pitch):
     assert np.degrees(floor.pitch) == pytest.approx(pitch, abs=0.5)  # of small panoramas
     np.testing.assert_allclose(found.factors, 1, atol=0.05)
     notes: list[str] = []
-    assert _told_by_floor(floor, True, steps, steps.pose[:39], HEIGHT, notes, None) is not None
+    assert _told_by_floor(floor, True, steps, steps.pose[:39], HEIGHT, notes, False) is not None
     assert f"the camera looks about {abs(pitch)} degrees {'down' if pitch > 0 else 'up'} ahead" in notes[0]
     pitched[..., :64] = pitched[..., 192:] = 40  # edges ahead alone show a pitch less well
     found, _ = scaled(pitched, steps)
@@ -282,7 +282,7 @@ def test_elevations_of_panoramas_are_assumed_unless_siamloc_simulated_them(tmp_p
 def test_a_height_is_asked_for_only_where_it_gives_metres(drive, known):
     _, panoramas, steps = drive
     notes: list[str] = []
-    floor, _ = _told_by_floor(Floor.seen([panoramas], VIEW), known, steps, np.full((39, 3), 0.27), None, notes, None)
+    floor, _ = _told_by_floor(Floor.seen([panoramas], VIEW), known, steps, np.full((39, 3), 0.27), None, notes, False)
     assert [note.partition(" is right if the camera is ")[0] for note in notes] == ["the scale"] * known
     assert floor.height == pytest.approx(HEIGHT, rel=0.06)
 

@@ -17,7 +17,7 @@ from siamloc.data.mounting import Mounting
 from siamloc.data.moves import chained, composed, relative, wrapped
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import LiveSurvey, SurveySettings, VisualMap, survey
-from siamloc.maps.floor import FloorScale
+from siamloc.maps.floor import Floor, FloorScale
 from siamloc.maps.survey_steps import _slipping
 
 
@@ -331,6 +331,28 @@ def test_odometry_of_every_second_frame_is_said_to_be_of_no_use(surveyed):
     found, _, _ = surveyed({"monday": poses}, odometry=wheels)
     assert found.fixed_by == "pictures"
     assert "is unknown for 45 frames: it is not used, since no two frames in a row have it" in found.notes[0]
+
+
+def test_the_floor_tells_lengths_unless_all_frames_have_odometry(surveyed, monkeypatch):
+    told, module = FloorScale(np.full(90, 1.25), 0.95, True), sys.modules["siamloc.maps.surveying"]
+    nothing = Floor(np.zeros((90, 8, 260), np.float32), np.linspace(-0.25, -2, 8), 0.0)
+    monkeypatch.setattr(Floor, "seen", lambda *_: nothing)
+    for name in ("shows_floor", "elevations_known"):
+        monkeypatch.setattr(module, name, lambda *_: True)
+    monkeypatch.setattr(module, "seen_by_all", lambda _: np.ones((64, 256), bool))
+    monkeypatch.setattr(module, "_told_by_floor", lambda _, known, steps, *rest: (told, told.lengthened(steps)))
+    poses, height = eights(), SurveySettings(height=0.95)
+    wheels = drifting(poses, 1.0)
+    found, _, _ = surveyed({"monday": poses}, odometry=wheels, scale=0.8, settings=height)
+    assert found.fixed_by == "odometry"
+    assert found.floor is None
+    assert found.notes[0] == "odometry tells the scale: the height of the camera is not used"
+    wheels[4:] = np.nan
+    found, true, _ = surveyed({"monday": poses}, odometry=wheels, scale=0.8, settings=height)
+    assert found.fixed_by == "odometry and height"
+    assert len(found.notes) == 1, "of unknown odometry"
+    assert found.solution.scale == pytest.approx(1, abs=0.05)
+    assert off(found, true) < 0.1
 
 
 def test_odometry_with_x_and_y_exchanged_is_refused_on_a_way_along_one_axis(surveyed):
