@@ -218,7 +218,7 @@ def extract(
         if counted and not isinstance(recording, Bag) and recording.seconds > 0:  # before all pictures are decoded
             taken = recording.taken if isinstance(recording, Pictures) else np.array([0.0, recording.seconds])
             for one in filter(None, given.values()):
-                check_clocks(taken + settings.offset, one)
+                check_clocks(taken + settings.offset, one, settings.offset)
         files, times = _write_images(recording, folder, sources["images"], settings, given["poses"])
         write_json(folder / _KEPT, about)
         times = times + settings.offset
@@ -388,7 +388,7 @@ def _joined(
 ) -> Array:
     """Return the poses in the plane, roll and pitch (n, 5) at the times of the images (n,), in the poses' clock."""
     try:
-        return joined(times, trajectory, settings.gap, _axes(trajectory, what, settings))
+        return joined(times, trajectory, settings.gap, _axes(trajectory, what, settings), settings.offset)
     except DataError as error:
         if settings.clock == "bag" or not isinstance(recording, Bag):
             raise

@@ -85,7 +85,7 @@ def read_recorded(
         own = trajectory.own_axes(axes or usual, beside=what == "odometry" and len(given) > 1)
         for doubt in doubts(trajectory, own):
             logger.warning("%s", doubt)
-        found = joined(taken, trajectory, gap, own) if timed else _in_order(len(files), trajectory, own)
+        found = joined(taken, trajectory, gap, own, offset) if timed else _in_order(len(files), trajectory, own)
         columns |= dict(zip(COLUMNS_OF[what], found.T, strict=False))
     name = sequence or next((part for part in reversed(folder.absolute().parts) if part not in _ANY_DRIVE), "")
     labels = {"sequence": [name] * len(files), "lighting": [lighting or lighting_in(name)] * len(files)}
@@ -96,31 +96,34 @@ def read_recorded(
     return in_capture_order(frames)
 
 
-def joined(taken: Array, trajectory: Trajectory, gap: float, axes: Axes = "robot") -> Array:
+def joined(taken: Array, trajectory: Trajectory, gap: float, axes: Axes = "robot", offset: float = 0.0) -> Array:
     """Return the poses in the plane, roll and pitch (n, 5) at the times of images (n,), NaN where there is no pose.
+
+    The times contain the `offset`, which messages name.
 
     Raises:
         DataError: the images have no times, none was taken during the trajectory, or its frame does not stay upright.
     """
     check_taken(taken)
-    check_clocks(taken, trajectory)
+    check_clocks(taken, trajectory, offset)
     return trajectory.at(taken, gap).tilted(axes, trajectory)
 
 
-def check_clocks(taken: Array, trajectory: Trajectory) -> None:
-    """Refuse a trajectory during which no image was taken, by the times of the first and the last one."""
+def check_clocks(taken: Array, trajectory: Trajectory, offset: float) -> None:
+    """Refuse a trajectory during which no image was taken, by the times of the first and the last one, with offset."""
     if taken.max() < trajectory.time[0] or taken.min() > trajectory.time[-1]:
         spans = float(np.ptp(taken)), float(np.ptp(trajectory.time))
         remedy = (
             "these are two clocks; give offset=SECONDS, which is added to the images' times "
-            f"({trajectory.time[0] - taken.min():.3f} lets both begin together)"
+            f"({trajectory.time[0] - taken.min() + offset:.3f} lets both begin together)"
         )
         if 0 < _OTHER_UNIT * min(spans) < max(spans):
             which = "images' times" if spans[0] > spans[1] else "times of the poses"
             remedy = f"the {which} seem to count ms, us or ns from a start of their own; write them in seconds"
+        shifted = f" with offset={offset:.10g}" if offset else ""
         raise DataError(
-            f"the images were taken between {taken.min():.3f} and {taken.max():.3f} s, and {trajectory.source} has "
-            f"poses between {trajectory.time[0]:.3f} and {trajectory.time[-1]:.3f} s: {remedy}"
+            f"the images were taken between {taken.min():.3f} and {taken.max():.3f} s{shifted}, and "
+            f"{trajectory.source} has poses between {trajectory.time[0]:.3f} and {trajectory.time[-1]:.3f} s: {remedy}"
         )
 
 
