@@ -197,10 +197,12 @@ def walk(
     for line in (*(f"note: {note}" for note in found.notes), f"survey: {found.summary()}"):
         say(line)
     if found.typical_deviation > _POSITIONS or found.scale_deviation > _SCALE:
+        lacks = ["give odometry (recording.odometry=)"] if not wheels else []
+        if wheels < len(frames) and settings.survey.height is None:
+            lacks.append("give the height of a camera of known elevations (survey.height=)")
         say(
             f"note: the survey is not exact, its positions only within {found.typical_deviation:.2f} m and its scale "
-            f"within {found.scale_deviation:.0%}: give odometry (recording.odometry=) or the height of a camera of "
-            "known elevations (survey.height=), or record a way that visits places again"
+            f"within {found.scale_deviation:.0%}: {', or '.join([*lacks, 'record a way that visits places again'])}"
             f"{found.doubt}"
         )
     save_survey(found, folder, settings.plain())

@@ -95,6 +95,7 @@ def test_a_folder_of_panoramas_without_odometry_becomes_a_robot(mini, tmp_path, 
     assert made.survey.fixed_by == "height"
     (doubted,) = (line for line in said if line.startswith("note: "))
     assert doubted.startswith("note: the survey is not exact, its positions only within 0.")
+    assert "give odometry (recording.odometry=), or record a way" in doubted  # the height is given
     wanted = day.xy[np.rint(2 * (made.survey.frames.time - START)).astype(int)]
     spread, expected = (np.sqrt(one.var(axis=0).sum()) for one in (made.survey.frames.xy, wanted))
     assert spread / expected == pytest.approx(1, abs=0.06)
