@@ -127,7 +127,7 @@ def odometry_steps(
         if unknown > 0 and np.isfinite(odometry).any():
             seldom = unknown < (drive == number).sum() and not np.isfinite(way[drive[1:] == number]).any()
             then = "it is not used, since no two frames in a row have it" if seldom else "images alone bridge the gap"
-            notes.append(f"{said} is unknown for {unknown} frames: {then}")
+            notes.append(f"{said} is unknown for {unknown} frame{'s' * (unknown > 1)}: {then}")
         mine = (drive[1:] == number) & np.isfinite(way) & certain
         if not mine.any():
             continue
@@ -146,8 +146,9 @@ def odometry_steps(
             (slips, "moves much less than the images, as wheels do that slip,"),
         ):
             if bad.any():
-                frame = int(np.flatnonzero(bad)[0]) + 1 - int(np.flatnonzero(drive == number)[0])
-                notes.append(f"{said} {text} at {int(bad.sum())} steps, first before frame {frame}: left out there")
+                frame, count = int(np.flatnonzero(bad)[0]) + 1 - int(rows[0]), int(bad.sum())
+                where = f"{count} step{'s' * (count > 1)}, {'first ' * (count > 1)}before frame {frame}"
+                notes.append(f"{said} {text} at {where}: left out there")
         steps[reset | frozen | slips] = np.nan
     return steps
 

@@ -269,7 +269,7 @@ def test_parts_of_the_odometry_that_cannot_be_true_are_left_out(surveyed):
     found, true, _ = surveyed({"monday": poses}, odometry=wheels)
     assert off(found, true) < 0.1
     text = "; ".join(found.notes)
-    for part in ("jumps at 1 steps, first before frame 30", "stands still while the images move at 11", "for 5 frames"):
+    for part in ("jumps at 1 step, before frame 30", "stands still while the images move at 11", "for 5 frames"):
         assert part in text
     assert found.report()["notes"] == list(found.notes)
 
