@@ -34,6 +34,7 @@ _WAY = 0.3  # metres over which units and signs are judged
 _TURNED = np.radians(3)  # a turn that comparisons see for certain
 _ENOUGH = 10  # steps from which units and signs are judged
 _LATE = 10  # rows by which odometry may be late, at most
+_OTHER_TURNS = 0.75  # usual error of turns by odometry, as a share, from which on they are not those of the images
 _NEXT_TO_NOTHING = np.radians(1)  # error of a turn
 _ALONG = 0.5  # mean cosine of the angles between the directions by odometry and by comparison, at least
 
@@ -116,7 +117,7 @@ def odometry_steps(
     sentence about each such part. The times (n,) of the frames, in s, only serve to say how late odometry is.
 
     Raises:
-        DataError: odometry in another unit, in degrees, of turns with the wrong sign or other directions, or late.
+        DataError: odometry in another unit, in degrees, of other turns or directions, or late.
     """
     steps = moves(odometry)[1:]
     steps[drive[1:] != drive[:-1]] = np.nan
@@ -197,6 +198,13 @@ def _check_odometry(said: str, odometry: Array, seen: Array, certain: NDArray[np
                     "or give each image the odometry of its own time"
                 )
             raise DataError(f"{said} turns {by} {'after' if offset > 0 else 'before'} its images do: {remedy}")
+        both = turning & moving
+        wrong = np.abs(wrapped(by_wheels[both, 2] - by_images[both, 2]) / by_images[both, 2])
+        if both.sum() >= _ENOUGH and np.median(wrong) > _OTHER_TURNS:
+            raise DataError(
+                f"{said} turns when its images do not: it is that of another drive, or of another clock, more than "
+                f"{_LATE} frames away: correct the offset between their times (recording.offset or data.offset)"
+            )
     direction = np.arctan2(by_wheels[moving, 1], by_wheels[moving, 0])
     direction -= np.arctan2(by_images[moving, 1], by_images[moving, 0])
     if judged and np.average(np.cos(direction), weights=weight) < _ALONG:

@@ -499,6 +499,16 @@ def test_shuffled_images_alone_are_refused(surveyed):
     assert surveyed({"monday": poses}, odometry=False)[0].fixed_by == "pictures"
 
 
+def test_odometry_of_another_drive_or_clock_is_refused(surveyed):
+    turns = np.convolve(np.random.default_rng(2).normal(0, 0.4, 130), np.ones(5) / 5, "same")
+    poses = chained(np.column_stack([np.full(130, 0.3), np.zeros(130), turns]))
+    wheels = drifting(poses)
+    wheels[90:] = composed(np.tile([3.0, 1.0, 2.0], (40, 1)), wheels[90:])  # one reset does not matter
+    assert surveyed({"monday": poses[:100]}, odometry=wheels[:100])[0].fixed_by == "odometry"
+    with pytest.raises(DataError, match="turns when its images do not: it is that of another drive, or"):
+        surveyed({"monday": poses[:100]}, odometry=wheels[30:])
+
+
 @pytest.mark.parametrize(("late", "says"), [(3, "3 rows after"), (1, "1 row after"), (-2, "2 rows before")])
 def test_odometry_of_other_images_is_refused(surveyed, late, says):
     rng = np.random.default_rng(3)
