@@ -198,7 +198,7 @@ def walk(
         say(line)
     if found.typical_deviation > _POSITIONS or found.scale_deviation > _SCALE:
         lacks = ["give odometry (recording.odometry=)"] if not wheels else []
-        if wheels < len(frames) and settings.survey.height is None:
+        if settings.survey.height is None and not (wheels and found.floor is None):
             lacks.append("give the height of a camera of known elevations (survey.height=)")
         say(
             f"note: the survey is not exact, its positions only within {found.typical_deviation:.2f} m and its scale "

@@ -56,6 +56,8 @@ if TYPE_CHECKING:
     from siamloc.data.library import PanoramaLibrary
     from siamloc.maps.visual_map import VisualMap
 
+_BY_ODOMETRY = 0.9  # share of the steps whose odometry is known from which on the floor is not needed
+
 
 @dataclass(frozen=True)
 class SurveySettings(Settings):
@@ -67,7 +69,7 @@ class SurveySettings(Settings):
             least two in each.
         drift: standard deviation of the heading by odometry after a metre, in degrees; it grows with the root of the
             way.
-        height: height of the camera above the floor, in metres, which gives the scale where neither odometry of all
+        height: height of the camera above the floor, in metres, which gives the scale where neither odometry of most
             frames nor two anchors do.
     """
 
@@ -184,7 +186,7 @@ def survey(
     """Estimate the poses of the frames of one or several drives; positions in `frames` are not used.
 
     With odometry, its scale is a little uncertain and its gyro has a bias, both of which are estimated along. Unless
-    all frames have it, the floor that the robot drives over tells how lengths in one part of the building compare with
+    most frames have it, the floor that the robot drives over tells how lengths in one part of the building compare with
     those in another, and what they are in metres if the height of the camera is known (`settings.height`). Without
     that, odometry and anchors, the scale is that of the network, which is off by some percent.
 
@@ -294,7 +296,8 @@ def of_descriptions(
     moved = odometry_steps(frames.odometry, seen, certain, drive, names, notes, frames.time)
     known = certain | np.isfinite(moved).all(axis=1)
     scale: FloorScale | None = None
-    if np.isfinite(moved[drive[1:] == drive[:-1]]).all():
+    by_wheels = np.isfinite(moved[drive[1:] == drive[:-1]]).all(axis=1)
+    if len(by_wheels) and by_wheels.mean() >= _BY_ODOMETRY:
         if settings.height is not None:
             notes.append("odometry tells the scale: the height of the camera is not used")
     elif looks_down is not None:

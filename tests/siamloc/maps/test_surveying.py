@@ -333,7 +333,7 @@ def test_odometry_of_every_second_frame_is_said_to_be_of_no_use(surveyed):
     assert "is unknown for 45 frames: it is not used, since no two frames in a row have it" in found.notes[0]
 
 
-def test_the_floor_tells_lengths_unless_all_frames_have_odometry(surveyed, monkeypatch):
+def test_the_floor_tells_lengths_unless_most_frames_have_odometry(surveyed, monkeypatch):
     told, module = FloorScale(np.full(90, 1.25), 0.95, True), sys.modules["siamloc.maps.surveying"]
     nothing = Floor(np.zeros((90, 8, 260), np.float32), np.linspace(-0.25, -2, 8), 0.0)
     monkeypatch.setattr(Floor, "seen", lambda *_: nothing)
@@ -343,10 +343,11 @@ def test_the_floor_tells_lengths_unless_all_frames_have_odometry(surveyed, monke
     monkeypatch.setattr(module, "_told_by_floor", lambda _, known, steps, *rest: (told, told.lengthened(steps)))
     poses, height = eights(), SurveySettings(height=0.95)
     wheels = drifting(poses, 1.0)
+    wheels[50:53] = np.nan  # as of wheels that slip
     found, _, _ = surveyed({"monday": poses}, odometry=wheels, scale=0.8, settings=height)
     assert found.fixed_by == "odometry"
     assert found.floor is None
-    assert found.notes[0] == "odometry tells the scale: the height of the camera is not used"
+    assert found.notes[-1] == "odometry tells the scale: the height of the camera is not used"
     wheels[4:] = np.nan
     found, true, _ = surveyed({"monday": poses}, odometry=wheels, scale=0.8, settings=height)
     assert found.fixed_by == "odometry and height"
