@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
@@ -391,8 +392,9 @@ def check_batch(batch: Tensor) -> None:
         return
     low, high = (float(value) for value in batch.detach().aminmax())
     if not 0 <= low <= high <= 1:  # NaN lies nowhere
-        remedy = "divide levels by 255" if high > 2 else "clamp it" if low <= high else "it has NaN"
-        raise AugmentError(f"a float batch lies in [0, 1], got values from {low:.7g} to {high:.7g}: {remedy}")
+        remedy = "mend NaN and infinite values" if not math.isfinite(high - low) else "clamp it, or normalize it later"
+        remedy = "divide levels by 255" if low >= 0 and 2 < high < math.inf else remedy
+        raise AugmentError(f"a float batch lies in [0, 1], got values from {low:.9g} to {high:.9g}: {remedy}")
 
 
 def beside(values: Tensor, batch: Tensor) -> Tensor:

@@ -99,9 +99,11 @@ class Augment(v2.Transform):
         generator = seeded(self.seed, call, *([] if worker is None else [worker.seed]))
         params = self.effect.draw(generator, torch.empty(count, 3, height, width, device="meta"))
         marks = [type(item).__name__ for item in flat_inputs if not _is_picture(item)]
-        moving = [one.name for one, _, changed in self.effect.parts(params) if one.moves and changed.any()]
-        if marks and moving:
-            raise AugmentError(f"{moving[0]} moves the image but cannot move {marks[0]} with it: leave one of them out")
+        for one, own, changed in self.effect.parts(params) if marks else ():
+            if changed.any() and (one.moves or ("heading" in own and own["heading"].any())):
+                raise AugmentError(
+                    f"{one.name} moves the image but cannot move {marks[0]} with it: leave one of them out"
+                )
         return params
 
     def transform(self, inpt: Any, params: Params) -> Any:

@@ -233,7 +233,7 @@ class Preprocessing:
     def files(self, path: str | Path) -> list[Path]:
         """Return the files of an image: one, or the two pictures of a `DualFisheyeCamera`."""
         first, names = Path(path), getattr(self.camera, "second", None)
-        return [first] if names is None else [first, first.with_name(first.name.replace(*names))]
+        return [first] if names is None else [first, first.parent / first.name.replace(*names)]
 
     def _opened(self, path: str | Path, *, levelled: bool) -> tuple[NDArray[np.uint8], Preprocessing]:
         """Return an image, and the preprocessing with the camera as the image says that it was placed."""

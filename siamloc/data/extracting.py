@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -132,7 +132,7 @@ class Pictures:
         second: how the names of second pictures differ, which go with the first; see `DualFisheyeCamera`.
     """
 
-    def __init__(self, path: Path, times: Path | None = None, second: Sequence[str] | None = None) -> None:
+    def __init__(self, path: Path, times: Path | None = None, second: tuple[str, str] | None = None) -> None:
         self.path, self.second = path, second
         files, self.taken = images_of(path, times, second=second)
         kind, taken = "pictures", self.taken
@@ -151,18 +151,20 @@ class Pictures:
 
 
 @typed
-def contents(file: str | Path, times: str | Path | None = None) -> Contents:
+@typed
+def contents(file: str | Path, times: str | Path | None = None, second: tuple[str, str] | None = None) -> Contents:
     """Look into a recording: a ROS bag (.bag, .db3, .mcap or the folder of a ROS 2 bag), a video, a folder of pictures.
 
     Args:
         file: the recording.
         times: list of the times of a folder of pictures; see `siamloc.data.recorded.read_recorded`.
+        second: as for `extract`.
 
     Raises:
         ConfigError: times of a recording that has times of its own.
         DataError: the file does not exist, cannot be read, or is no recording.
     """
-    with _opened(Path(file).expanduser(), times) as source:
+    with _opened(Path(file).expanduser(), times, second) as source:
         about = source.path, source.seconds, dict(source.topics)
         if not isinstance(source, Bag):
             return Contents(*about, proposal={"images": next(iter(source.topics))})
@@ -177,7 +179,7 @@ def extract(
     file: str | Path,
     out: str | Path,
     *,
-    second: Sequence[str] | None = None,
+    second: tuple[str, str] | None = None,
     settings: Extraction = OF_FIELDS,
     **fields: Any,
 ) -> FrameTable:
@@ -204,7 +206,7 @@ def extract(
     path, folder = Path(file).expanduser(), Path(out).expanduser()
     if path.is_dir() and path.resolve() == folder.resolve():
         raise ConfigError(f"{folder} is the recording itself: give another folder for its images")
-    found = contents(path, settings.times)
+    found = contents(path, settings.times, second)
     sources = {what: getattr(settings, what) or found.proposal.get(what, "none") for what in SOURCES}
     if sources["images"] == "none":
         raise DataError(f"{path} holds no images; its topics: {', '.join(found.topics) or 'none'}")
@@ -244,7 +246,7 @@ def writes_camera(folder: Path, unwrap: Mapping[str, Any]) -> bool:
 
 
 def _opened(
-    path: Path, times: str | Path | None = None, second: Sequence[str] | None = None
+    path: Path, times: str | Path | None = None, second: tuple[str, str] | None = None
 ) -> AbstractContextManager[Bag | Film | Pictures]:
     if not path.exists():
         raise DataError(f"there is no recording {path}")
@@ -271,6 +273,16 @@ def _identity(path: Path, topic: str) -> dict[str, Any]:
     if path.is_file():
         about |= {"bytes": path.stat().st_size, "modified": path.stat().st_mtime_ns}
     return about
+
+
+def _write_second(folder: Path, first: Path, stamp: str, second: tuple[str, str]) -> None:
+    """Write the second picture of two next to the first; without it, `PanoramaLibrary` leaves the first one out."""
+    name = first.name.removeprefix(stamp).replace(*second)
+    copy = first.parent / f"{stamp}{name}"
+    with suppress(OSError, UnreadableImageError):
+        if not copy.exists():
+            decode_image(data := (folder / name).read_bytes())
+            write_bytes(copy, data)
 
 
 def _write_images(
@@ -305,12 +317,6 @@ def _write_images(
             continue
         file = folder / f"{time:019d}{ending}"
         there = file.is_file()
-        if isinstance(recording, Pictures) and recording.second is not None and isinstance(image, Path):
-            own, other = recording.second
-            beside, copy = (one.with_name(one.name.replace(own, other)) for one in (image, file))
-            with suppress(FileNotFoundError, PermissionError):  # then `PanoramaLibrary` leaves the first one out
-                if beside != image and not copy.is_file():
-                    write_bytes(copy, beside.read_bytes())
         if isinstance(image, (Path, bytes)) and not there:
             name = image if isinstance(image, Path) else f"the image at {time / 1e9:.3f} s"
             try:
@@ -329,6 +335,8 @@ def _write_images(
             write_bytes(file, image)
         elif isinstance(image, np.ndarray) and not there:
             write_picture(file, image, _QUALITY)
+        if isinstance(recording, Pictures) and recording.second is not None:
+            _write_second(recording.path, file, f"{time:019d}_", recording.second)
     leave_out(damaged, count, f"images of {topic} in {recording.path} cannot be used", settings.on_error)
     if not found:
         raise DataError(f"{recording.path}: {topic} holds no images")

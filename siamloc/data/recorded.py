@@ -147,7 +147,7 @@ def _in_order(count: int, trajectory: Trajectory, axes: Axes) -> Array:
 
 
 def images_of(
-    folder: Path, times: Path | None = None, span: float | None = None, second: Sequence[str] | None = None
+    folder: Path, times: Path | None = None, span: float | None = None, second: tuple[str, str] | None = None
 ) -> tuple[list[Path], Array]:
     """Return the images of a folder and the times at which they were taken, in s; NaN if unknown.
 
@@ -177,7 +177,8 @@ def images_of(
         times = next((path for place in (folder, folder.parent) if (path := place / _TIMES).is_file()), None)
         if np.isfinite(taken).all() or times is None:
             return files, taken
-        if len(headed(times)[1]) != len(files):
+        rows = headed(times)[1]
+        if len(rows) < len(files) or (len(rows) != len(files) and len(rows[0][1]) == 1):
             logger.warning("%s is not used: it has no time for each of the %d images of %s", times, len(files), folder)
             return files, taken
     _, rows = headed(times)

@@ -34,6 +34,7 @@ from siamloc.errors import ConfigError, DataError, logger
 LEAST = 4
 """Fewest pictures of a drive that show what moves."""
 _MOST = 30  # pictures that are looked at
+_ALMOST = 0.8  # share of them that have one size, in whose pixels a ring counts
 _SIDE = 800  # pixels of a picture's longer side; larger pictures are shrunk for the search
 _SHAKES = 0.3  # pixels; centres that move more are lined up first
 _NEAR = 15.0  # pixels from a given ring within which a drive's own ring replaces it
@@ -175,8 +176,9 @@ def _of_drive(given: AutoRing, paths: Sequence[str]) -> AutoRing:
     """Return the ring that the pictures of a drive show, or the given one."""
     folder = Path(paths[0]).parent
     known = given.centre is not None and given.inner is not None and given.outer is not None
-    pictures = _readable(paths)
+    pictures = list[Array]()
     try:
+        pictures = _readable(paths)
         found = find_ring(pictures)
     except DataError as error:
         if not known:
@@ -288,13 +290,20 @@ def draw_ring(picture: Array, ring: PolarRing, view: PanoramaView | None = None)
 
 
 def _readable(paths: Sequence[str]) -> list[Array]:
-    """Return up to `_MOST` pictures of a drive, spread over it, that can be read and have the size of most of them."""
+    """Return up to `_MOST` pictures of a drive, spread over it, that can be read, without a few of another size.
+
+    Raises:
+        DataError: there are many of another size.
+    """
     pictures = []
     for path in spread(paths, _MOST):
         with suppress(UnreadableImageError):
             pictures.append(read_image(path))
-    sizes = Counter(picture.shape for picture in pictures)
-    return [picture for picture in pictures if picture.shape == sizes.most_common(1)[0][0]]
+    sizes = Counter(picture.shape[:2] for picture in pictures)
+    (most, count), *others = sizes.most_common(2) or [((0, 0), 0)]
+    if count < _ALMOST * len(pictures):
+        raise DataError(f"the pictures of a drive have one size, got {most[::-1]} and {others[0][0][::-1]} px")
+    return [picture for picture in pictures if picture.shape[:2] == most]
 
 
 def _shows_ring(pictures: Sequence[Array]) -> bool:

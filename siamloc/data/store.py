@@ -6,7 +6,6 @@ import os
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from siamloc.errors import ConfigError, DataError, leave_out, logger
 from siamloc.progress import track
 
 VERSION = 1
+_FITTING = 10  # pictures: if none of so many fits the camera, the others are not decoded
 _SAMPLING = 5  # version of how panoramas are sampled from the images of cameras
 
 
@@ -157,34 +157,33 @@ def _write(
     size = [preprocessing.view.height, preprocessing.view.width]
     rejected: list[dict[str, Any]] = []
     kept = 0
-    usual = cache(lambda: preprocessing.usual_size(paths))
+    misfit = ""
 
-    def decode(row: int) -> NDArray[np.uint8] | UnreadableImageError:
+    def decode(row: int) -> NDArray[np.uint8] | UnreadableImageError | ConfigError:
         try:
             return preprocessing.panorama(paths[row], None if tilts is None else tilts[row])
-        except UnreadableImageError as error:
+        except (UnreadableImageError, ConfigError) as error:
             return error
-        except ConfigError as error:
-            size, most = preprocessing.usual_size([paths[row]]), usual()
-            if size and most and size != most:
-                return UnreadableImageError(
-                    f"it has {size[1]} x {size[0]} px, and most have {most[1]} x {most[0]}: {error}"
-                )
-            raise ConfigError(f"{paths[row]}: {error}") from error
 
     with (folder / "panoramas.npy").open("wb") as file:
         header = {"descr": "|u1", "fortran_order": False, "shape": (len(paths), 3, *size)}
         np.lib.format.write_array_header_1_0(file, header)
         decoded = in_order(decode, range(len(paths)), workers)
         for row, result in enumerate(track(decoded, len(paths), "decoding images")):
-            if isinstance(result, UnreadableImageError):
-                if on_error == "raise":
-                    raise DataError(f"{paths[row]} cannot be read: {result} (on_error=skip leaves it out)")
-                rejected.append({"row": row, "path": paths[row], "reason": str(result)})
-            else:
+            if isinstance(result, np.ndarray):
                 file.write(result.data)
                 kept += 1
+                continue
+            if isinstance(result, ConfigError):  # a picture of another shape, or, if none fits, another camera
+                misfit = misfit or f"{paths[row]}: {result}"
+                if kept == 0 and (row >= _FITTING or on_error == "raise"):
+                    break
+            if on_error == "raise":
+                raise DataError(f"{paths[row]} cannot be read: {result} (on_error=skip leaves it out)")
+            rejected.append({"row": row, "path": paths[row], "reason": str(result)})
         if kept == 0:
+            if misfit:
+                raise ConfigError(misfit)
             first = "{path} ({reason})".format(**rejected[0])
             raise DataError(f"none of the {len(paths)} images can be read, the first: {first}")
         file.seek(0)  # numpy leaves room in a header for any number of rows

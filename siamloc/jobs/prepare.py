@@ -88,7 +88,8 @@ class Prepare(DataJob):
         from siamloc import models
 
         if self.recording.file is not None:
-            found = contents(self.recording.file, self.recording.times)
+            second = self.unwrap.get("second")
+            found = contents(self.recording.file, self.recording.times, second)
             say(found.describe())
             if self.recording.out is None:
                 usual, given = RecordingKeys().plain(), self.recording.plain()
@@ -97,7 +98,6 @@ class Prepare(DataJob):
                 words = as_words({f"recording.{key}": value for key, value in chosen.items()})
                 say(f"next: siamloc prepare {shlex.quote(str(self.recording.file))} {words}")
                 return found
-            second = self.unwrap.get("second")
             extract(self.recording.file, self.recording.out, second=second, settings=self.recording)
         frames = self.data.read()
         say(summary(frames))

@@ -52,7 +52,7 @@ class Backbone(Branch):
             raise ConfigError(f"the first layer of {name} has three channels: leave normalize={normalize} out")
         self.normalize_with(*_card(name, network))
         network.eval()
-        with _explained(f"{name} does not take images", image_size), torch.no_grad():
+        with _explained(f"{name} fails with images", image_size), torch.no_grad():
             example = torch.zeros(1, 3, *image_size)
             features = _features(network, example)
             self.features = features if isinstance(features, nn.Sequential) else nn.Sequential(features)
@@ -144,7 +144,8 @@ def make_backbone(
             network = _made(name, image_size, state)
     if state is not None and not name.startswith("timm/"):
         weights = OrderedDict(state)
-        weights._metadata = {"": {"version": network._version}}  # type: ignore[attr-defined]  # a few classes ask for it
+        if name.startswith("torchvision/"):  # a few of its classes ask for it
+            weights._metadata = {"": {"version": network._version}}  # type: ignore[attr-defined]
         try:
             network.load_state_dict(weights)
         except RuntimeError as error:
@@ -221,7 +222,8 @@ def _card(name: str, network: nn.Module) -> tuple[Sequence[float], Sequence[floa
     card = getattr(network, "pretrained_cfg", None)
     if isinstance(card, Mapping) and "mean" in card:
         return card["mean"], card["std"]
-    if getattr(network, "transform_input", False):  # torchvision turns ImageNet's normalization into this one
+    of_torchvision = type(network).__module__.startswith("torchvision.models.")
+    if of_torchvision and getattr(network, "transform_input", False):  # it turns ImageNet's normalization into this one
         return (0.5,) * 3, (0.5,) * 3
     if name.startswith("torchvision/"):
         from torchvision import models
@@ -256,9 +258,10 @@ def _features(network: nn.Module, example: Tensor) -> nn.Module:
 
 
 def _timm_features(network: Any, example: Tensor) -> nn.Module:
-    patches = getattr(getattr(network, "patch_embed", None), "proj", None)
-    if isinstance(patches, nn.Conv2d) and patches.kernel_size == patches.stride:  # others overlap
-        _check_patches(example, *patches.kernel_size)
+    embed = getattr(network, "patch_embed", None)
+    patch, made_by = getattr(embed, "patch_size", None), getattr(embed, "proj", None)
+    if patch and isinstance(made_by, nn.Conv2d) and made_by.kernel_size == made_by.stride:  # others overlap
+        _check_patches(example, *made_by.kernel_size)
     for norm in (True, False):
         try:
             made = _Timm(network, norm)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from foundation.calls import typed
+from foundation.files import real_path
 from siamloc.comparison import Comparison, differing, files_named, flat
 from siamloc.errors import ConfigError, hint
 from siamloc.runs import Run, higher_is_better
@@ -65,11 +66,12 @@ def compare(runs: str | Path | Iterable[str | Path | Run], by: str | None = None
 def _opened(runs: str | Path | Iterable[str | Path | Run]) -> list[Run]:
     found: dict[Path, Run] = {}
     for one in [runs] if isinstance(runs, str | Path) else runs:
-        records = [] if isinstance(one, Run) else files_named(Run(Path(one)).folder, "run.json")
-        inside = [one] if isinstance(one, Run) else [Run(record.parent) for record in records]
+        named = one if isinstance(one, Run) else Run(Path(one))
+        alone = isinstance(one, Run) or named.record.is_file()
+        inside = [named] if alone else [Run(record.parent) for record in files_named(named.folder, "run.json")]
         if not inside:
             raise ConfigError(f"there are no runs to compare in the folder {one}: {_NAME}")
-        found |= {run.folder: run for run in inside}
+        found |= {real_path(run.folder): run for run in inside}
     if not found:
         raise ConfigError(f"there are no runs to compare: {_NAME}")
     return list(found.values())

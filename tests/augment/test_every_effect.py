@@ -166,7 +166,8 @@ def test_any_memory_layout(name):
         (torch.zeros(1, 3, 8, 8, dtype=torch.float64), "got .* torch.float64"),
         (torch.full((1, 3, 8, 8), 7.0), "got values from 7 to 7: divide levels by 255"),
         (torch.full((1, 3, 8, 8), -0.5), "got values from -0.5 to -0.5: clamp it"),
-        (torch.full((1, 3, 8, 8), float("nan")), "got values from nan to nan: it has NaN"),
+        (torch.full((1, 3, 8, 8), float("nan")), "got values from nan to nan: mend NaN and infinite values"),
+        (torch.full((1, 3, 8, 8), 2.5) - torch.eye(8) * 4, r"from -1\.5 to 2\.5: clamp it, or normalize it later"),
         ([[1]], "a batch is a tensor .*, got list"),
     ],
 )

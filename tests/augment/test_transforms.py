@@ -3,6 +3,7 @@ import pickle
 import subprocess
 import sys
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from torch.utils.data import DataLoader, Dataset
 
 import augment
 from augment import Augment
+from augment.ranges import Range
 from augment.torchvision_compat import ensure_torchvision
 from tests.augment.pictures import generator, panoramas
 
@@ -126,6 +128,22 @@ def test_a_sample_of_pictures_and_other_things():
     assert build("darken")(left, pose)[1] is pose
 
 
+class OwnTurn(augment.Effect):
+    """A turn that does not say so by `moves`."""
+
+    name = "own turn"
+    RANGES: ClassVar = {"shift": Range(3, 3, neutral=0)}
+
+    def complete(self, params, count, height, width):
+        return {**params, "heading": params["shift"] * 0.1}
+
+    def limits(self, height, width):
+        return {**super().limits(height, width), "heading": Range(0, 1)}
+
+    def render(self, batch, values):
+        return batch.roll(3, dims=-1)
+
+
 @pytest.mark.parametrize("effect", ["rotate", "view"])
 def test_what_cannot_be_moved_with_the_picture(effect):
     picture = tv_tensors.Image(panoramas(1)[0])
@@ -134,6 +152,8 @@ def test_what_cannot_be_moved_with_the_picture(effect):
     for moving in (build(effect), in_policy):
         with pytest.raises(augment.AugmentError, match=f"{effect} moves the image but cannot move BoundingBoxes"):
             moving(picture, box)
+    with pytest.raises(augment.AugmentError, match="own turn moves the image but cannot move BoundingBoxes"):
+        Augment(OwnTurn())(picture, box)
     still = augment.effect("rotate", circular=False), augment.Policy({"effect": effect, "probability": 0})
     for one in still:
         assert Augment(one)(picture, box)[1] is box

@@ -54,7 +54,7 @@ def read_survey(folder: Path) -> Surveyed | None:
     about, plan = folder / "survey.json", folder / "survey.png"
     if not (about.is_file() and plan.is_file()):
         return None
-    found = read_json(about)
+    found = read_json(about, "survey again")
     if not isinstance(found, dict) or (wrong := misfit(found, _KEYS)):
         raise FormatError(f"{about} was altered{f' in {wrong}' if isinstance(found, dict) else ''}: survey again")
     lines = [*(f"note: {note}" for note in found["notes"]), *filter(None, [found.get("summary")])]

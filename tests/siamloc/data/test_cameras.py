@@ -280,19 +280,21 @@ class Apart(OneWay):
         return rays[..., 0], rays[..., 1]
 
 
-def test_a_picture_of_another_shape_than_most_is_left_out_if_it_does_not_fit(tmp_path, caplog):
+def test_a_picture_of_another_shape_is_left_out_if_it_does_not_fit_and_others_do(tmp_path, caplog):
     for name, rows in (("fits", 320), ("odd", 480), ("too", 320)):
         cv2.imwrite(str(tmp_path / f"{name}.png"), np.zeros((rows, 640, 3), np.uint8))
     fits, odd, too = (tmp_path / f"{name}.png" for name in ("fits", "odd", "too"))
     given = {"cache": tmp_path / "cache", "image_size": (8, 32), "unwrap": EquirectangularCamera()}
-    says = r"odd\.png .*it has 640 x 480 px, and most have 640 x 320: a whole equirectangular picture is"
+    says = r"odd\.png .*a whole equirectangular picture is twice as wide as high, and this one has 640 x 480 px"
     assert PanoramaLibrary(FrameTable(path=[fits, odd]), **given).frames.path.tolist() == [str(fits)]
     assert re.search(rf"1 of 2 images cannot be read, the first: .*{says}", caplog.text)
-    with pytest.raises(DataError, match=r"odd\.png cannot be read: it has 640 x 480 px"):
+    with pytest.raises(DataError, match=r"odd\.png cannot be read: a whole equirectangular picture is"):
         PanoramaLibrary(FrameTable(path=[fits, odd]), **given | {"cache": tmp_path / "strict"}, on_error="raise")
     with pytest.raises(ConfigError, match=r"odd\.png: a whole equirectangular picture is twice as wide"):
-        PanoramaLibrary(FrameTable(path=[odd, fits]), **given)
-    assert PanoramaLibrary(FrameTable(path=[odd, fits, too]), **given).rejected[0]["path"] == str(odd)
+        PanoramaLibrary(FrameTable(path=[odd]), **given)
+    with pytest.raises(ConfigError, match=r"odd\.png: a whole equirectangular picture is twice as wide"):
+        PanoramaLibrary(FrameTable(path=[odd] * 11 + [fits]), **given)  # the camera is another one
+    assert PanoramaLibrary(FrameTable(path=[odd, odd, fits]), **given).frames.path.tolist() == [str(fits)]
     assert len(Preprocessing.checked((8, 32), EquirectangularCamera()).tilts([odd, fits, too], 3)) == 2
 
 

@@ -692,6 +692,21 @@ def test_the_second_pictures_of_two_lenses_go_with_the_first(tmp_path, name, par
     for path, pair in zip(frames.path.tolist(), (PICTURES[:2], PICTURES[2:4]), strict=True):
         both = siamloc.data.Preprocessing.checked((8, 32), two).files(path)
         np.testing.assert_array_equal([cv2.imread(str(one)) for one in both], pair)
+    assert siamloc.data.contents(pictures, second=parts).topics["pictures"][1] == 2
+    with pytest.raises(ConfigError, match="second must be a list of 2"):
+        siamloc.data.extract(pictures, tmp_path / "one", second=parts[:1])
+
+
+def test_a_list_of_times_may_name_both_pictures_of_two_lenses_and_a_damaged_second_one_is_taken_once_whole(tmp_path):
+    pictures = written(tmp_path / "monday", [f"{part}_{number}.png" for number in (7, 8) for part in "ab"])
+    rows = [f"{number}.5 {part}_{number}.png\n" for number in (7, 8) for part in "ab"]
+    (pictures / "timestamps.txt").write_text("".join(rows))
+    whole = (pictures / "b_8.png").read_bytes()
+    for held, seconds in ((whole[:99], 1), (whole, 2)):
+        (pictures / "b_8.png").write_bytes(held)
+        frames = siamloc.data.extract(pictures, tmp_path / "out", second=("a_", "b_"))
+        assert frames.time.tolist() == [7.5, 8.5]
+        assert len(list((tmp_path / "out").glob("*_b_*.png"))) == seconds
 
 
 def test_a_rate_takes_at_most_so_many_pictures_per_second(tmp_path):

@@ -197,6 +197,8 @@ def test_the_camera_of_a_ring_is_found_with_what_is_known_of_it(columns, tmp_pat
     assert np.hypot(camera.cx - centres[0][0], camera.cy - centres[0][1]) < 0.3
     ahead = camera.project([np.cos(np.pi / 6), 0, np.sin(np.pi / 6)])
     assert abs(np.hypot(*(ahead - [camera.cx, camera.cy])) - OUTER) < 0.5  # the rim is at 30 degrees
+    with pytest.raises(DataError, match="the pictures of a drive have one size"):  # in which the ring would count?
+        find_camera(written(tmp_path, [*(picture[:200] for picture in pictures[:5]), *pictures[5:]]), AutoRing())
 
 
 @pytest.mark.parametrize("eccentricity", [1.2, 1.4, 1.6])

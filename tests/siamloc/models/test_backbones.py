@@ -93,7 +93,7 @@ def test_a_convolutional_network_describes_and_finds_headings(name):
 
 
 @pytest.mark.parametrize(("name", "grid"), [("timm/pvt_v2_b0", (2, 4)), ("timm/xcit_nano_12_p8_224", (8, 16))])
-def test_patches_that_overlap_need_not_divide_images(name, grid):
+def test_the_size_of_patches_that_overlap_is_not_asked_for(name, grid):
     assert build(name, "gem", (64, 128)).grid == grid
 
 
@@ -176,6 +176,18 @@ def test_googlenet_sees_images_as_torchvision_shows_them(tmp_path):
         published(Branch("simple1").normalized(images))  # with ImageNet's mean and deviation
         for source, weights in (("torchvision/googlenet", tmp_path / "googlenet.pth"), (published, None)):
             torch.testing.assert_close(build(source, "gem", SIZE, weights=weights).eval().branch(images), seen[0])
+
+
+class Rescaling(models.GoogLeNet):
+    """Rescales by itself, as its `forward` is kept whole."""
+
+    def forward(self, images):
+        return self.avgpool(self.conv1(self._transform_input(images)))
+
+
+def test_a_network_of_ones_own_sees_images_by_the_deviation_of_imagenet():
+    own = build(Rescaling(transform_input=True, init_weights=False), "gem", SIZE)
+    assert own.branch.std.flatten().tolist() == pytest.approx([0.229, 0.224, 0.225])
 
 
 def test_the_features_of_a_densenet_are_what_its_classes_are_made_of():
@@ -297,7 +309,7 @@ def test_a_module_that_is_handed_in_is_loaded_into_another():
     assert build(Pooled(), "gem", SIZE).grid == (1, 1)
     with pytest.raises(ConfigError, match=r"must give \(B, C, h, w\) or \(B, D\).*got \(1, 3, 4096\)"):
         build(nn.Flatten(2), "gem", SIZE)
-    with pytest.raises(ConfigError, match=r"Linear does not take images of 32 x 128 pixels, in its own words: .*mat1"):
+    with pytest.raises(ConfigError, match=r"Linear fails with images of 32 x 128 pixels, in its own words: .*mat1"):
         build(nn.Linear(5, 5), "gem", SIZE)
 
 

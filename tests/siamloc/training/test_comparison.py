@@ -61,6 +61,9 @@ def test_sweeps_and_runs_are_compared_together(tmp_path):
     single = make(tmp_path / "d", {"val/error": [0.1]}, seed=3)
     found = compare([tmp_path / "sweep", tmp_path / "sweep/a", tmp_path / "further", single])
     assert [row["seed"] for row in found.rows] == [3, 0, 1, 2]
+    make(tmp_path / "sweep/a/fine", {"val/error": [0.1]}, seed=4)
+    found = compare([tmp_path / "sweep/a", tmp_path / "sweep/../sweep/a", tmp_path / "sweep/b"])
+    assert [row["seed"] for row in found.rows] == [0, 1]
 
 
 def test_a_run_without_a_figure_comes_last(tmp_path):
