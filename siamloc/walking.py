@@ -197,7 +197,8 @@ def walk(
     for line in (*(f"note: {note}" for note in found.notes), f"survey: {found.summary()}"):
         say(line)
     if found.typical_deviation > _POSITIONS or found.scale_deviation > _SCALE:
-        lacks = ["give odometry (recording.odometry=)"] if not wheels else []
+        of_all = " of all pictures" if wheels else ""
+        lacks = [f"give odometry{of_all} (recording.odometry=)"] if wheels < len(frames) else []
         if settings.survey.height is None and not (wheels and found.floor is None):
             lacks.append("give the height of a camera of known elevations (survey.height=)")
         say(

@@ -120,7 +120,7 @@ def check_clocks(taken: Array, trajectory: Trajectory, offset: float) -> None:
         if 0 < _OTHER_UNIT * min(spans) < max(spans):
             which = "images' times" if spans[0] > spans[1] else "times of the poses"
             remedy = f"the {which} seem to count ms, us or ns from a start of their own; write them in seconds"
-        shifted = f" with offset={offset:.10g}" if offset else ""
+        shifted = f" with offset={offset:.3f}" if offset else ""
         raise DataError(
             f"the images were taken between {taken.min():.3f} and {taken.max():.3f} s{shifted}, and "
             f"{trajectory.source} has poses between {trajectory.time[0]:.3f} and {trajectory.time[-1]:.3f} s: {remedy}"

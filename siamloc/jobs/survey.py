@@ -37,8 +37,8 @@ class SurveyDrives(DataJob):
         survey.apart=3.0                metres of way between two frames that may close a loop
         survey.alike=8                  similar frames that each frame is compared with
         survey.drift=0.5                degrees by which the heading of odometry is off after a metre
-        survey.height=0.95              height of the camera above the floor in metres, which tells the scale where
-                                        there is no odometry
+        survey.height=0.95              height of the camera above the floor in metres, which tells the scale unless
+                                        most frames have odometry
         out=survey                      the folder
 
     Example:

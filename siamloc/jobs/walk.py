@@ -22,8 +22,8 @@ class Walk(WalkSettings, Job):
         monday.mp4                      the recording: a video, a ROS bag, or a folder of pictures
         recording.odometry=FILE         poses by the robot's wheels over time, or the topic of a bag; without any, the
                                         scale of the map may be off by a tenth or more
-        survey.height=0.95              height of the camera above the floor in metres, which tells the scale where
-                                        there is no odometry; not for a ring of two radii
+        survey.height=0.95              height of the camera above the floor in metres, which tells the scale unless
+                                        most pictures have odometry; not for a ring of two radii
         unwrap=polar unwrap.inner=60    another camera than the one found; unwrap.forward=90 and unwrap.mirrored=false
                                         say what the pictures of a ring do not show
         recording.rate=5                pictures per second that are looked at, at most

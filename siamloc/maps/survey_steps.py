@@ -31,7 +31,8 @@ _UNITS = 0.4, 2.5  # ratio of the ways by odometry and by comparison; outside, t
 _JUMP, _FROZEN = 1.0, 5  # metres beyond three times the compared way; frames
 _SLIPS, _SLIP_WAY = 0.5, 2.0  # share of the usual way by odometry, for so many metres by comparison
 _WAY = 0.3  # metres over which units and signs are judged
-_TURNED = np.radians(3)  # a turn that comparisons see for certain
+_TURNED = np.radians(3)  # a turn that comparisons of good panoramas see for certain
+_CLEAR = np.radians(10)  # and one that those of any camera see
 _ENOUGH = 10  # steps from which units and signs are judged
 _LATE = 10  # rows by which odometry may be late, at most
 _OTHER_TURNS = 0.75  # usual error of turns by odometry, as a share, from which on they are not those of the images
@@ -198,12 +199,12 @@ def _check_odometry(said: str, odometry: Array, seen: Array, certain: NDArray[np
                     "or give each image the odometry of its own time"
                 )
             raise DataError(f"{said} turns {by} {'after' if offset > 0 else 'before'} its images do: {remedy}")
-        both = turning & moving
-        wrong = np.abs(wrapped(by_wheels[both, 2] - by_images[both, 2]) / by_images[both, 2])
-        if both.sum() >= _ENOUGH and np.median(wrong) > _OTHER_TURNS:
+        clear = moving & (np.abs(by_images[:, 2]) > _CLEAR)
+        wrong = np.abs(wrapped(by_wheels[clear, 2] - by_images[clear, 2]) / by_images[clear, 2])
+        if clear.sum() >= _ENOUGH * back and np.median(wrong) > _OTHER_TURNS:  # a step counts in `back` of them
             raise DataError(
-                f"{said} turns when its images do not: it is that of another drive, or of another clock, more than "
-                f"{_LATE} frames away: correct the offset between their times (recording.offset or data.offset)"
+                f"{said} turns otherwise than its images show: give that of this drive, in the clock of its images "
+                "(recording.offset or data.offset corrects their times), whose headings follow the robot's turns"
             )
     direction = np.arctan2(by_wheels[moving, 1], by_wheels[moving, 0])
     direction -= np.arctan2(by_images[moving, 1], by_images[moving, 0])

@@ -70,7 +70,7 @@ def test_offset_odometry_and_frames_without_a_pose(tmp_path, poses, caplog):
     assert set(frames.sequence.tolist()) == {"one"}
     with pytest.raises(DataError, match=r"2 of 13 images of .* outside of .*groundtruth\.txt, or in a gap"):
         siamloc.data.read("trajectory", **given, on_error="raise")
-    for offset, shifted in ((0.0, ""), (-300.0, r"with offset=-300, .*")):  # the advice contains what is given
+    for offset, shifted in ((0.0, ""), (-300.0, r"with offset=-300.000, .*")):  # the advice contains what is given
         with pytest.raises(DataError, match=rf"{shifted}two clocks; give offset=SECONDS, .* \(-99\.000 lets both"):
             siamloc.data.read("trajectory", **{**given, "offset": offset})
 

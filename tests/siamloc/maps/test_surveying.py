@@ -506,8 +506,13 @@ def test_odometry_of_another_drive_or_clock_is_refused(surveyed):
     wheels = drifting(poses)
     wheels[90:] = composed(np.tile([3.0, 1.0, 2.0], (40, 1)), wheels[90:])  # one reset does not matter
     assert surveyed({"monday": poses[:100]}, odometry=wheels[:100])[0].fixed_by == "odometry"
-    with pytest.raises(DataError, match="turns when its images do not: it is that of another drive, or"):
+    with pytest.raises(DataError, match="turns otherwise than its images show: give that of this drive, in the clock"):
         surveyed({"monday": poses[:100]}, odometry=wheels[30:])
+
+
+def test_noise_of_comparisons_on_a_straight_way_is_no_reason_to_refuse_odometry(surveyed):
+    poses = np.column_stack([0.1 * np.arange(150), np.zeros(150), np.zeros(150)])
+    assert surveyed({"monday": poses}, odometry=poses, noise=0.03)[0].fixed_by == "odometry"
 
 
 @pytest.mark.parametrize(("late", "says"), [(3, "3 rows after"), (1, "1 row after"), (-2, "2 rows before")])
