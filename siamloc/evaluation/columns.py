@@ -69,15 +69,22 @@ def map_columns(known: FrameTable, queries: FrameTable) -> Columns:
     return {"path": known.path, "x": known.x, "y": known.y, "theta": known.theta, "room": rooms}
 
 
-def missing_rooms(known: FrameTable, queries: FrameTable) -> str:
-    """Return a sentence that names the queries' rooms that the map lacks, and a remedy; empty if the map has all."""
+def missing_rooms(known: FrameTable, queries: FrameTable, excluded: NDArray[np.bool_] | None = None) -> str:
+    """Return a sentence that names the queries' rooms that the map lacks, and a remedy; empty if the map has all.
+
+    A query in a room of which the protocol excludes all map frames counts as well.
+    """
     in_map, rooms = room_names(known, queries)
-    missing = sorted(set(rooms.tolist()) - set(in_map.tolist()) - {""})
-    if not missing:
+    findable = np.isin(rooms, in_map)
+    if excluded is not None:
+        findable &= ((rooms[:, None] == in_map) & ~excluded).any(axis=1)
+    lacking = rooms[~findable & (rooms != "")]
+    if not len(lacking):
         return ""
-    count = int(np.isin(rooms, missing).sum())
+    missing = sorted(set(lacking.tolist()))
+    lacks = "that the map lacks" if not np.isin(missing, in_map).any() else "of which the protocol leaves no map frame"
     return (
-        f"{count} of {len(rooms)} queries are in rooms that the map lacks ({', '.join(missing)}), and cannot be found "
+        f"{len(lacking)} of {len(rooms)} queries are in rooms {lacks} ({', '.join(missing)}), and cannot be found "
         "there: add frames of these rooms to the map (protocol.map), or leave those queries out (protocol.query.rooms)"
     )
 

@@ -232,7 +232,7 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
         result = result.joined(found)
         if vectors is not None:
             result = _with_pairs(result, session, settings, known, vectors[search.rows], labelled, skipped)
-        if main and (text := missing_rooms(known.frames, queries)):
+        if main and (text := missing_rooms(search.known.frames, labelled, search.excluded)):
             skipped["rooms"] = text
     if search := searches.get("located"):
         if learned is None:
@@ -261,7 +261,14 @@ def _search(session: Session, what: str, task: str, known: VisualMap, k: int, sk
             skipped[f"{task}, {where}"] = text
     inside, rows = (known if in_map.all() else known.take(in_map)), np.flatnonzero(in_queries)
     excluded = session.protocol.excluded(session.queries.take(rows), inside.frames)
-    return Search(inside, rows, most_neighbours(k, len(inside), excluded), excluded=excluded)
+    depth = most_neighbours(k, len(inside), excluded)
+    if excluded is not None and depth < min(k, int((~excluded).sum(axis=1).max())):
+        skipped[f"{task}, ranks"] = (
+            f"one of the queries may find only {depth} map frame{'s' * (depth > 1)} (protocol.apart_seconds, "
+            f"protocol.apart_metres), so that all measures of {task} count the first {depth} alone, also those named "
+            "for more: exclude less, or leave out queries that find so few"
+        )
+    return Search(inside, rows, depth, excluded=excluded)
 
 
 def _with_pairs(

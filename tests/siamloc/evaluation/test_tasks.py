@@ -84,6 +84,17 @@ def test_queries_of_the_maps_own_drive_are_honest_where_near_frames_are_left_out
     assert excluded.any(axis=1).all()
 
 
+def test_queries_that_find_few_frames_or_none_of_their_room_are_said(world):
+    images, monday, _, _, known = world
+    least = int((~Protocol(apart_seconds=3.0).excluded(monday, monday)).sum(axis=1).min())
+    result = evaluation.rooms(known, images, monday, protocol=Protocol(apart_seconds=3.0))
+    assert f"find only {least} map frames" in result.skipped["room_retrieval, ranks"]
+    once = monday.with_columns(room=["alone", *monday.room[1:].tolist()])
+    result = evaluation.rooms(replace(known, frames=once), images, once, protocol=Protocol(leave_one_out=True))
+    assert result.skipped["rooms"].startswith("1 of 40 queries are in rooms of which the protocol leaves no map frame")
+    assert "room_retrieval, ranks" not in result.skipped
+
+
 def test_rooms_need_no_positions(world):
     images, monday, tuesday, _, known = world
     blind = np.full(len(tuesday), np.nan)
