@@ -392,8 +392,9 @@ def check_batch(batch: Tensor) -> None:
         return
     low, high = (float(value) for value in batch.detach().aminmax())
     if not 0 <= low <= high <= 1:  # NaN lies nowhere
-        remedy = "mend NaN and infinite values" if not math.isfinite(high - low) else "clamp it, or normalize it later"
-        remedy = "divide levels by 255" if low >= 0 and 2 < high < math.inf else remedy
+        levels = high > (2 if low >= 0 else 20)  # a normalized image may reach 3
+        remedy = "divide levels by 255" if levels else "clamp it, or normalize it later"
+        remedy = remedy if math.isfinite(high - low) else "mend NaN and infinite values"
         raise AugmentError(f"a float batch lies in [0, 1], got values from {low:.9g} to {high:.9g}: {remedy}")
 
 

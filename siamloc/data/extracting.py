@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -151,7 +151,6 @@ class Pictures:
 
 
 @typed
-@typed
 def contents(file: str | Path, times: str | Path | None = None, second: tuple[str, str] | None = None) -> Contents:
     """Look into a recording: a ROS bag (.bag, .db3, .mcap or the folder of a ROS 2 bag), a video, a folder of pictures.
 
@@ -279,10 +278,13 @@ def _write_second(folder: Path, first: Path, stamp: str, second: tuple[str, str]
     """Write the second picture of two next to the first; without it, `PanoramaLibrary` leaves the first one out."""
     name = first.name.removeprefix(stamp).replace(*second)
     copy = first.parent / f"{stamp}{name}"
-    with suppress(OSError, UnreadableImageError):
-        if not copy.exists():
-            decode_image(data := (folder / name).read_bytes())
-            write_bytes(copy, data)
+    if copy.exists():
+        return
+    try:
+        decode_image(data := (folder / name).read_bytes())
+    except (OSError, UnreadableImageError):
+        return
+    write_bytes(copy, data)
 
 
 def _write_images(

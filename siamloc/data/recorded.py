@@ -177,8 +177,9 @@ def images_of(
         times = next((path for place in (folder, folder.parent) if (path := place / _TIMES).is_file()), None)
         if np.isfinite(taken).all() or times is None:
             return files, taken
-        rows = headed(times)[1]
-        if len(rows) < len(files) or (len(rows) != len(files) and len(rows[0][1]) == 1):
+        rows, names = headed(times)[1], {file.name: file for file in files}
+        named = sorted(name for _, words in rows if (name := _named(words, names)[0]))
+        if len(rows) != len(files) and named != sorted(names):
             logger.warning("%s is not used: it has no time for each of the %d images of %s", times, len(files), folder)
             return files, taken
     _, rows = headed(times)

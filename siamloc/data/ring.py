@@ -176,10 +176,10 @@ def _of_drive(given: AutoRing, paths: Sequence[str]) -> AutoRing:
     """Return the ring that the pictures of a drive show, or the given one."""
     folder = Path(paths[0]).parent
     known = given.centre is not None and given.inner is not None and given.outer is not None
-    pictures = list[Array]()
+    pictures = _readable(paths)
     try:
-        pictures = _readable(paths)
-        found = find_ring(pictures)
+        usual = _of_one_size(pictures)
+        found = find_ring(usual if len(usual) >= _ALMOST * len(pictures) else pictures)
     except DataError as error:
         if not known:
             remedies = [rearranged(picture) for picture in pictures]
@@ -228,7 +228,7 @@ def find_camera(images: Sequence[str], given: OmnidirectionalCamera | None = _UN
     """
     if not isinstance(given, AutoRing):
         return given
-    pictures = _readable(images)
+    pictures = _of_one_size(_readable(images))
     if not pictures:
         raise DataError(f"none of the {len(images)} pictures can be read")
     rows, columns = pictures[0].shape[:2]
@@ -290,20 +290,18 @@ def draw_ring(picture: Array, ring: PolarRing, view: PanoramaView | None = None)
 
 
 def _readable(paths: Sequence[str]) -> list[Array]:
-    """Return up to `_MOST` pictures of a drive, spread over it, that can be read, without a few of another size.
-
-    Raises:
-        DataError: there are many of another size.
-    """
+    """Return up to `_MOST` pictures of a drive, spread over it, that can be read."""
     pictures = []
     for path in spread(paths, _MOST):
         with suppress(UnreadableImageError):
             pictures.append(read_image(path))
-    sizes = Counter(picture.shape[:2] for picture in pictures)
-    (most, count), *others = sizes.most_common(2) or [((0, 0), 0)]
-    if count < _ALMOST * len(pictures):
-        raise DataError(f"the pictures of a drive have one size, got {most[::-1]} and {others[0][0][::-1]} px")
-    return [picture for picture in pictures if picture.shape[:2] == most]
+    return pictures
+
+
+def _of_one_size(pictures: list[Array]) -> list[Array]:
+    """Return the pictures that have the size of most of them."""
+    sizes = Counter(picture.shape for picture in pictures)
+    return [picture for picture in pictures if picture.shape == sizes.most_common(1)[0][0]]
 
 
 def _shows_ring(pictures: Sequence[Array]) -> bool:

@@ -16,12 +16,12 @@ from foundation.files import atomic_folder, content_key, parsed_json, storage_er
 from foundation.locks import locked
 from foundation.threads import in_order, processors
 from siamloc.data.decoding import Preprocessing
-from siamloc.data.image_files import UnreadableImageError, bits_by_folder
+from siamloc.data.image_files import UnreadableImageError, bits_by_folder, spread
 from siamloc.errors import ConfigError, DataError, leave_out, logger
 from siamloc.progress import track
 
 VERSION = 1
-_FITTING = 10  # pictures: if none of so many fits the camera, the others are not decoded
+_FITTING = 10  # pictures: if neither the first ones nor as many others fit the camera, the rest is not decoded
 _SAMPLING = 5  # version of how panoramas are sampled from the images of cameras
 
 
@@ -157,13 +157,16 @@ def _write(
     size = [preprocessing.view.height, preprocessing.view.width]
     rejected: list[dict[str, Any]] = []
     kept = 0
-    misfit = ""
+    misfits = list[str]()
 
     def decode(row: int) -> NDArray[np.uint8] | UnreadableImageError | ConfigError:
         try:
             return preprocessing.panorama(paths[row], None if tilts is None else tilts[row])
         except (UnreadableImageError, ConfigError) as error:
             return error
+
+    def fits(row: int) -> bool:
+        return isinstance(decode(row), np.ndarray)
 
     with (folder / "panoramas.npy").open("wb") as file:
         header = {"descr": "|u1", "fortran_order": False, "shape": (len(paths), 3, *size)}
@@ -174,16 +177,16 @@ def _write(
                 file.write(result.data)
                 kept += 1
                 continue
-            if isinstance(result, ConfigError):  # a picture of another shape, or, if none fits, another camera
-                misfit = misfit or f"{paths[row]}: {result}"
-                if kept == 0 and (row >= _FITTING or on_error == "raise"):
+            if isinstance(result, ConfigError):  # a picture of another shape, or, if most do not fit, another camera
+                misfits.append(f"{paths[row]}: {result}")
+                if kept == 0 and len(misfits) == _FITTING and not any(map(fits, spread(range(len(paths)), _FITTING))):
                     break
             if on_error == "raise":
                 raise DataError(f"{paths[row]} cannot be read: {result} (on_error=skip leaves it out)")
             rejected.append({"row": row, "path": paths[row], "reason": str(result)})
+        if len(misfits) > kept:
+            raise ConfigError(misfits[0])
         if kept == 0:
-            if misfit:
-                raise ConfigError(misfit)
             first = "{path} ({reason})".format(**rejected[0])
             raise DataError(f"none of the {len(paths)} images can be read, the first: {first}")
         file.seek(0)  # numpy leaves room in a header for any number of rows

@@ -144,7 +144,7 @@ def make_backbone(
             network = _made(name, image_size, state)
     if state is not None and not name.startswith("timm/"):
         weights = OrderedDict(state)
-        if name.startswith("torchvision/"):  # a few of its classes ask for it
+        if _of_torchvision(network):  # a few of its classes ask for it
             weights._metadata = {"": {"version": network._version}}  # type: ignore[attr-defined]
         try:
             network.load_state_dict(weights)
@@ -217,13 +217,17 @@ def _factory(name: str) -> Callable[[], Any]:
     return cast("Callable[[], Any]", found)
 
 
+def _of_torchvision(network: nn.Module) -> bool:
+    return type(network).__module__.startswith("torchvision.models.")
+
+
 def _card(name: str, network: nn.Module) -> tuple[Sequence[float], Sequence[float]]:
     """Return the mean and deviation of the images that a network is for: its model card's, or ImageNet's."""
     card = getattr(network, "pretrained_cfg", None)
     if isinstance(card, Mapping) and "mean" in card:
         return card["mean"], card["std"]
-    of_torchvision = type(network).__module__.startswith("torchvision.models.")
-    if of_torchvision and getattr(network, "transform_input", False):  # it turns ImageNet's normalization into this one
+    if _of_torchvision(network) and getattr(network, "transform_input", False):
+        # It turns ImageNet's normalization into this one.
         return (0.5,) * 3, (0.5,) * 3
     if name.startswith("torchvision/"):
         from torchvision import models

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from foundation.files import real_path
 from foundation.ordering import by_numbers
-from siamloc.comparison import files_named
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.report.page.surveyed import Surveyed, read_survey
 from siamloc.results import FINEST, Columns, read_results, read_rows, truth
@@ -161,14 +160,14 @@ def gather(folders: Sequence[str | Path]) -> list[RunFiles]:
 
 
 def _members(folder: Path) -> list[Path]:
-    """Return the folder of a run or an evaluation itself, or else the runs and other evaluations that it holds."""
-    runs = [run.folder for run in runs_in(folder)]
-    if not folder.is_dir() or (not runs and (run_with(real_path(folder)) or _results(folder, folder / "evaluation"))):
+    """Return the runs of a sweep, a run or an evaluation itself, or else the evaluations that a folder holds."""
+    if runs := runs_in(folder):
+        return [run.folder for run in runs]
+    if run_with(real_path(folder)) or _results(folder, folder / "evaluation"):
         return [folder]
-    held = {real_path(run) for run in runs}
-    evaluations = [path.parent for path in sorted(files_named(folder, "results.json"), key=by_numbers)]
-    others = dict.fromkeys(run.folder if (run := run_with(one)) else one for one in evaluations)
-    return [*runs, *(one for one in others if real_path(one) not in held)] or [folder]
+    evaluated = {path.parent for path in folder.glob("*/evaluation")}
+    alone = {path.parent for path in _results(folder, folder) if run_with(path.parent) is None}
+    return sorted(evaluated | alone, key=by_numbers) or [folder]
 
 
 def _results(folder: Path, above: Path) -> list[Path]:

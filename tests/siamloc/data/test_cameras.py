@@ -294,7 +294,9 @@ def test_a_picture_of_another_shape_is_left_out_if_it_does_not_fit_and_others_do
         PanoramaLibrary(FrameTable(path=[odd]), **given)
     with pytest.raises(ConfigError, match=r"odd\.png: a whole equirectangular picture is twice as wide"):
         PanoramaLibrary(FrameTable(path=[odd] * 11 + [fits]), **given)  # the camera is another one
-    assert PanoramaLibrary(FrameTable(path=[odd, odd, fits]), **given).frames.path.tolist() == [str(fits)]
+    with pytest.raises(ConfigError, match=r"odd\.png: a whole equirectangular picture is twice as wide"):
+        PanoramaLibrary(FrameTable(path=[fits, odd, odd]), **given)
+    assert len(PanoramaLibrary(FrameTable(path=[odd] * 11 + [fits] * 12), **given)) == 12
     assert len(Preprocessing.checked((8, 32), EquirectangularCamera()).tilts([odd, fits, too], 3)) == 2
 
 

@@ -707,6 +707,8 @@ def test_a_list_of_times_may_name_both_pictures_of_two_lenses_and_a_damaged_seco
         frames = siamloc.data.extract(pictures, tmp_path / "out", second=("a_", "b_"))
         assert frames.time.tolist() == [7.5, 8.5]
         assert len(list((tmp_path / "out").glob("*_b_*.png"))) == seconds
+    (pictures / "timestamps.txt").write_text("".join([*rows[1:], "9 a_9.png\n", "10 b_10.png\n"]))
+    assert siamloc.data.extract(pictures, tmp_path / "all", second=("a_", "b_")).time.tolist() == [0.0, 1.0]
 
 
 def test_a_rate_takes_at_most_so_many_pictures_per_second(tmp_path):

@@ -512,7 +512,7 @@ def test_odometry_of_another_drive_or_clock_is_refused(surveyed):
 
 def test_noise_of_comparisons_on_a_straight_way_is_no_reason_to_refuse_odometry(surveyed):
     poses = np.column_stack([0.1 * np.arange(150), np.zeros(150), np.zeros(150)])
-    assert surveyed({"monday": poses}, odometry=poses, noise=0.03)[0].fixed_by == "odometry"
+    assert surveyed({"monday": poses}, odometry=poses, noise=0.06)[0].fixed_by == "odometry"
 
 
 @pytest.mark.parametrize(("late", "says"), [(3, "3 rows after"), (1, "1 row after"), (-2, "2 rows before")])
