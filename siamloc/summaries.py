@@ -342,7 +342,8 @@ def _counts(group: Measures | None) -> tuple[int, int] | None:
 def _at(group: Measures, path: Path) -> Any:
     """Return the value at a path such as "error.mean" or "hit_rate.0.rate", or two values; None if missing or NaN."""
     if isinstance(path, tuple):
-        return tuple(_at(group, one) for one in path)
+        both = tuple(_at(group, one) for one in path)
+        return None if None in both else both
     value: Any = group
     for key in path.split("."):
         if isinstance(value, list):

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import analytic
-from analytic.measures.closures import ClosureScores
 from foundation.calls import OF_FIELDS, takes
 from foundation.settings import Count, NotNegative, Settings
 from siamloc.evaluation.columns import room_names
@@ -132,9 +131,10 @@ def mapping_measures(columns: Mapping[str, NDArray], radius: float, gap: int) ->
     pure, inertias = analytic.measures.purity(labels, columns["room"]), _inertias(xy, labels)
     pairs = np.column_stack([columns["frame"], columns["closes_with"]])[columns["closes_with"] >= 0]
     if placed.all():
-        closed = analytic.measures.closure_scores(pairs, xy, radius, gap)
+        closed = asdict(analytic.measures.closure_scores(pairs, xy, radius, gap))
     else:
-        closed = ClosureScores(math.nan, math.nan, math.nan, 0, len(pairs), 0, 0, 0, radius, gap)
+        unknown = dict.fromkeys(("precision", "recall", "f1", "right", "closed", "revisits"), math.nan)
+        closed = {**unknown, "closures": len(pairs), "trivial": 0, "radius": radius, "gap": gap}
     ms = 1000 * np.asarray(columns["seconds"], dtype=np.float64)
     unassigned = int((labels < 0).sum())
     found = {
@@ -153,7 +153,7 @@ def mapping_measures(columns: Mapping[str, NDArray], radius: float, gap: int) ->
             "room": {room: {"purity": pure.rooms[room], "frames": pure.frames_per_room[room]} for room in pure.rooms},
             "frames": pure.counted,
         },
-        "closures": asdict(closed),
+        "closures": closed,
         "ms_per_frame": {
             "mean": float(np.nanmean(ms)),
             "median": float(np.nanmedian(ms)),

@@ -9,6 +9,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.evaluation import Result
 from siamloc.evaluation.layers import closures, mapping, mapping_measures
 from siamloc.maps import Built, CoarseLayer, VisualMap
+from siamloc.summaries import tables_of
 
 THUMBNAIL = analytic.descriptor("thumbnail", rows=1, columns=2)
 
@@ -81,9 +82,15 @@ def test_every_number_follows_from_the_tables(tmp_path):
 def test_what_cannot_be_measured():
     known, quarter = lap_twice()
     lost = VisualMap(known.descriptors, known.frames.with_columns(x=np.full(80, np.nan)), known.identity)
-    found = measured(lost, quarter).parts["mapping"]
-    for number in (found["silhouette"]["pooled"], found["inertia"], found["closures"]["recall"]):
+    result = measured(lost, quarter)
+    found = result.parts["mapping"]
+    for number in (found["silhouette"]["pooled"], found["inertia"]):
         assert math.isnan(number)
+    assert all(math.isnan(found["closures"][key]) for key in ("recall", "right", "closed", "revisits"))
+    table = tables_of(result.name, result.parts, {}, {})[0].text()
+    assert "purity by room" in table
+    assert "closures" not in table
+    assert "revisits" not in table
     assert found["purity"] == measured(known, quarter).parts["mapping"]["purity"]
     single = measured(known, np.zeros(80, dtype=int)).parts["mapping"]
     assert math.isnan(single["silhouette"]["nearest"])
