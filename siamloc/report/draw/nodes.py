@@ -33,9 +33,9 @@ class NodePlan:
     """Data for a plot of a map's nodes on the floor plan.
 
     Attributes:
-        xy: positions of the frames (n, 2).
+        xy: positions of the frames that have one (n, 2).
         node: (n,) node of each frame, -1 for none.
-        places: mean position of each node (k, 2).
+        places: mean position of each node (k, 2), NaN if none of its frames has one.
         edges: (e, 2) pairs of nodes that the robot moved between.
         closures: (c, 2) a frame that closes a loop, and the earlier frame with which it closes the loop.
         radius: radius within which a closure counts as right.
@@ -75,7 +75,7 @@ def node_plan(
     name: str = "compact map",
     occupancy: OccupancyMap | None = None,
 ) -> NodePlan:
-    """Return the data for the plan of a compact map.
+    """Return the data for the plan of a compact map, whose frames without a position are left out.
 
     Args:
         measures: `measures.mapping` of `results.json`.
@@ -97,8 +97,11 @@ def node_plan(
             f"these are not the results of a whole evaluation of a compact map ({error.args[0]} is missing): measure "
             "it with `siamloc evaluate task=mapping`"
         ) from error
-    colours = node_colours(neighbouring(xy, node, edges), range(len(places)))
+    placed = np.isfinite(xy).all(axis=1)
     closures = np.column_stack([np.arange(len(node)), closing])[closing >= 0]
+    closures = (np.cumsum(placed) - 1)[closures[placed[closures].all(axis=1)]]
+    xy, node = xy[placed], node[placed]
+    colours = node_colours(neighbouring(xy, node, edges), range(len(places)))
     return NodePlan(xy, node, places, edges, closures, radius, colours, unit, title, occupancy)
 
 
@@ -217,7 +220,8 @@ def add_graph(
     axes.scatter(places[:, 0], places[:, 1], s=sizes**2, c=list(colours), edgecolors=INK, linewidths=1.1, zorder=7)
     look: dict[str, Any] = {"fontsize": 0.5 * points, "fontweight": "bold", "ha": "center", "va": "center_baseline"}
     for (x, y), name, colour in zip(places, names, colours, strict=True):
-        axes.text(x, y, name, color=ink(colour), zorder=8, **look)
+        if np.isfinite(x):
+            axes.text(x, y, name, color=ink(colour), zorder=8, **look)
 
 
 def spread_out(points: NDArray[np.float64], least: float) -> NDArray[np.float64]:

@@ -7,6 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from siamloc.data.occupancy import OccupancyMap
 from siamloc.report.draw.curves import compact_curves, pair_curves, robustness_curves
 from siamloc.report.draw.errors import calibration_curve, error_curve, estimate_curve, node_errors
@@ -76,7 +78,7 @@ def pictures(
             made[key] = partial(draw, measures[part])
     if "mapping" in measures and {"frames", "nodes"} <= set(tables):
         plan = node_plan(measures["mapping"], tables["frames"], tables["nodes"], name, occupancy)
-        made["nodes"] = partial(nodes_on_plan, plan)
+        made |= {"nodes": partial(nodes_on_plan, plan)} if len(plan.xy) else {}
     return made
 
 
@@ -88,7 +90,7 @@ def save_all(folder: str | Path, layer: str | Path | None = None, occupancy: Occ
     Args:
         folder: result folder of an evaluation, with `results.json` and its tables.
         layer: folder of the coarse layer that was measured; the log of an incremental map, `events.jsonl`, gives
-            `growth.gif`.
+            `growth.gif` if all frames have positions.
         occupancy: the map of the building to draw behind plans.
 
     Raises:
@@ -99,7 +101,8 @@ def save_all(folder: str | Path, layer: str | Path | None = None, occupancy: Occ
     tables = {table: read_rows(folder, table) for table in _TABLES if table in results["tables"]}
     name = name_of(results)
     made = pictures(results["measures"], tables, name, occupancy)
-    log = None if layer is None or "nodes" not in made else Path(layer) / "events.jsonl"
+    whole = "nodes" in made and np.isfinite([tables["frames"][axis] for axis in "xy"]).all()
+    log = None if layer is None or not whole else Path(layer) / "events.jsonl"
     log = log if log is not None and log.is_file() else None
     add_pictures(folder, [*(f"{key}.png" for key in made), *(["growth.gif"] if log is not None else [])])
     drawn = [save(draw(), target / f"{key}.png") for key, draw in made.items()]

@@ -23,14 +23,15 @@ from tests.analytic.mapper.world import World, corridor_drive
 from tests.siamloc.report.draw.looking import lines_of, text_of, whole_png
 
 
-def mapped(folder: Path, way: str, **options: Any) -> tuple[Path, Path]:
-    """Build and measure a small map; return the folders of the results and of the layer."""
+def mapped(folder: Path, way: str, unplaced: int = 0, **options: Any) -> tuple[Path, Path]:
+    """Build and measure a small map, its first frames unplaced; return the folders of the results and of the layer."""
     world, drive = World(size=8, reach=5.0, seed=1), corridor_drive(260, seed=1)
     found = world.at(drive, noise=0.2, seed=1)
     x, y, theta = drive.T
     room = np.where(x > np.median(x), "CR-A", "KT-A")
     paths = np.array([f"{i}.jpeg" for i in range(len(x))])
-    frames = FrameTable(path=paths, x=x, y=y, theta=theta, room=room, sequence=np.full(len(x), "drive"))
+    shown = np.where(np.arange(len(x)) < unplaced, np.nan, x)
+    frames = FrameTable(path=paths, x=shown, y=y, theta=theta, room=room, sequence=np.full(len(x), "drive"))
     known = VisualMap(found.position, frames, world.identity, orientation=found.orientation).with_descriptor(world)
     layer, target = folder / "layer", folder / "results"
     built = maps.group(known, way, folder=layer, **options)
@@ -81,6 +82,21 @@ def test_a_clustered_map_has_one_picture(tmp_path: Path) -> None:
     target, layer = mapped(tmp_path, "sample", nodes=7)
     assert [path.name for path in save_all(target, layer)] == ["nodes.png"]
     assert "7 nodes" in text_of(nodes_on_plan(read_plan(target)))
+
+
+def test_frames_without_positions_are_not_drawn(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    target, layer = mapped(tmp_path / "some", "sample", nodes=30, unplaced=100)
+    (layer / "events.jsonl").write_text("")
+    assert [path.name for path in save_all(target, layer)] == ["nodes.png"], "no picture of how it grew"
+    shown, frames = read_plan(target), read_rows(target, "frames")
+    assert np.isnan(shown.places).any(), "some nodes have no position"
+    np.testing.assert_array_equal(shown.xy[:, 0], frames["x"][100:])
+    np.testing.assert_array_equal(shown.node, frames["node"][100:])
+    ends = np.column_stack([np.arange(260), frames["closes_with"]])[100:]
+    np.testing.assert_array_equal(shown.closures, ends[ends[:, 1] >= 100] - 100)
+    assert not caplog.text
+    target, layer = mapped(tmp_path / "none", "sample", nodes=30, unplaced=260)
+    assert save_all(target, layer) == []
 
 
 def test_the_plan_shows_what_was_measured(runs: dict) -> None:
