@@ -206,7 +206,10 @@ def _missing(frames: FrameTable) -> Iterator[str]:
         )
     roomless = int((frames.room == "").sum())
     if 0 < roomless < total:
-        yield f"{_count(roomless, total)} have no room, while others do: they count as one room. Give their room."
+        yield (
+            f"{_count(roomless, total)} have no room, while others do: measuring, grouping and learning rooms "
+            "leave them out. Give their room."
+        )
 
 
 def _drives(frames: FrameTable) -> Iterator[str]:
