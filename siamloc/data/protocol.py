@@ -229,7 +229,8 @@ class Protocol(Settings):
             lack = "time, which protocol.apart_seconds needs: give times, or use apart_metres or leave_one_out"
             _exclude_near(excluded, queries, known, (queries.time, known.time), self.apart_seconds, lack)
         if self.apart_metres is not None:
-            lack = "position along a drive, which protocol.apart_metres needs: give x and y, or use apart_seconds"
+            lack = "position along a drive, which protocol.apart_metres needs: give x and y, or use "
+            lack += "apart_seconds or leave_one_out"
             _exclude_near(excluded, queries, known, _travelled(queries, known, drives), self.apart_metres, lack)
         return excluded
 
@@ -270,9 +271,10 @@ def _exclude_near(
     query_at, known_at = at
     for sequence, rows in queries.rows_by("sequence").items():
         columns = np.flatnonzero(known.sequence == sequence)
-        unknown = np.isnan(query_at[rows]).sum() + np.isnan(known_at[columns]).sum()
+        sides = (queries, rows, query_at), (known, columns, known_at)
+        unknown = {key for table, own, at in sides for key in table.take(own[np.isnan(at[own])]).identities()}
         if len(columns) and unknown:
-            raise DataError(f"{unknown} frames of sequence {sequence!r} have no {lack}")
+            raise DataError(f"{len(unknown)} frames of sequence {sequence!r} have no {lack}")
         for row in rows:
             excluded[row, columns] |= np.abs(known_at[columns] - query_at[row]) < apart
 
