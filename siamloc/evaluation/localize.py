@@ -298,7 +298,7 @@ def _with_pairs(
             margin = _margin_of_map(known, replace(asked, same_room_share=None), session.seed)
             learned = {"pairs": {"margin": f"{margin:.4g}, learned from {wanted.count} pairs of map frames"}}
     except SiamlocError as error:
-        skipped["room_pairs"] = str(error)
+        skipped["room_pairs"] = str(error).rsplit(": ", 1)[0]  # the advice that follows is for training
         return result
     first, second = np.sort([queries.lighting[pairs.first], queries.lighting[pairs.second]], axis=0)
     lighting = np.where(first == second, first, np.char.add(np.char.add(first, " and "), second))

@@ -46,6 +46,19 @@ def test_localization_is_the_search_of_the_map_compared_with_the_truth(world):
     assert "mAP@100" in result.table()
 
 
+def test_pairs_that_cannot_be_drawn_are_said_without_the_keys_of_training(world, monkeypatch):
+    images, _, tuesday, _, known = world
+    monkeypatch.setattr(known.descriptor, "margin", 2.0, raising=False)
+    rooms = tuesday.rows_by("room")
+    for rows, says in (
+        ([own[0] for own in rooms.values()], f"each of the {len(rooms)} rooms has only one frame"),
+        (next(iter(rooms.values())), "belong to one room"),
+    ):
+        said = evaluation.rooms(known, images, tuesday.take(rows)).skipped["room_pairs"]
+        assert says in said
+        assert said.endswith("-room pairs")
+
+
 def test_a_result_is_written_and_read_back(world, tmp_path):
     images, _, tuesday, _, known = world
     result = evaluation.localization(known, images, tuesday, baselines=["thumbnail"])
