@@ -120,7 +120,8 @@ class MapFrames(RunJob):
             say(self.group(known, folder).summary(folder))
         if not swept():
             protocol = self.for_evaluation(self.protocol, self.data.read, "query")
-            self._say_next(say, "export" if protocol is None else "evaluate", protocol or {})
+            task = "mapping" if bare == len(known) and protocol is not None else "hierarchical"
+            self._say_next(say, "export" if protocol is None else "evaluate", protocol or {}, task)
         return known
 
     def _maintained(self, say: Say) -> VisualMap:
@@ -178,12 +179,12 @@ class MapFrames(RunJob):
             self._say_next(say, "export", {} if refined is None else {"task.refine": refined.method})
         return known
 
-    def _say_next(self, say: Say, command: str, more: Mapping[str, Any]) -> None:
-        """Say which command goes on with the map, with more settings."""
+    def _say_next(self, say: Say, command: str, more: Mapping[str, Any], task: str = "hierarchical") -> None:
+        """Say which command goes on with the map, with more settings; with nodes, the task is named."""
         further = {} if self.descriptor.name in OF_A_RUN else _words("descriptor", self.descriptor)
         if self.build.name != "none":
             further |= {
-                "task": "hierarchical",
+                "task": task,
                 **_words("build", self.build),
                 **({"seed": self.seed} if self.seed else {}),
             }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+
 import numpy as np
 import pytest
 
@@ -144,3 +146,13 @@ def test_a_map_says_how_many_of_its_frames_have_no_position(without, words, tmp_
     some = without("x", which=lambda row: row["sequence"] == "first" and int(row["time"]) < 5)
     done("map", *words, f"run={tmp_path}", "descriptor=hog", f"data.manifest={some}")
     assert "24 frames, 5 of which have no position" in capsys.readouterr().out
+
+
+def test_a_map_without_positions_names_a_command_that_works(without, words, tmp_path, capsys):
+    bare = without(*POSE, which=lambda row: True)
+    done("map", *words, SECOND, f"run={tmp_path}", "descriptor=hog", f"data.manifest={bare}", "build=rooms")
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("next: ")]
+    command, *given = shlex.split(line.removeprefix("next: siamloc "))
+    assert (command, "task=mapping" in given) == ("evaluate", True)
+    done(command, *given)
+    assert "nodes of a map" in capsys.readouterr().out
