@@ -33,7 +33,9 @@ class PairSettings(Settings):
     """
 
     WHERE = "pairs"
-    needs_positions: ClassVar[str] = "distance labels need (pairs.label=room does without)"
+    needs_positions: ClassVar[str] = (
+        "distance labels need (pairs.label=room needs several rooms instead, experiment=photographs neither)"
+    )
 
     label: Literal["auto", "room", "distance"] = "auto"
     same_room_share: Share | None = None
