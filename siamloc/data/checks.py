@@ -207,8 +207,8 @@ def _missing(frames: FrameTable) -> Iterator[str]:
     roomless = int((frames.room == "").sum())
     if 0 < roomless < total:
         yield (
-            f"{_count(roomless, total)} have no room, while others do: measuring, grouping and learning rooms "
-            "leave them out. Give their room."
+            f"{_count(roomless, total)} have no room, while others do: rooms are measured, grouped and, in buildings "
+            "with labels, learned without them. Give their room."
         )
 
 

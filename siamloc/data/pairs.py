@@ -34,7 +34,8 @@ class PairSettings(Settings):
 
     WHERE = "pairs"
     needs_positions: ClassVar[str] = (
-        "distance labels need (pairs.label=room needs several rooms instead, experiment=photographs neither)"
+        "distance labels need (pairs.label=room needs several rooms instead; experiment=adapt, for panoramas, and "
+        "experiment=photographs, for ordinary cameras, need neither)"
     )
 
     label: Literal["auto", "room", "distance"] = "auto"

@@ -178,8 +178,8 @@ def images_of(
         if np.isfinite(taken).all() or times is None:
             return files, taken
         rows, names = headed(times)[1], {file.name: file for file in files}
-        named = sorted(name for _, words in rows if (name := _named(words, names)[0]))
-        if len(rows) != len(files) and named != sorted(names):
+        named = {name for _, words in rows if (name := _named(words, names)[0])}
+        if len(rows) != len(files) if len(rows[0][1]) == 1 else len(named) < len(files):
             logger.warning("%s is not used: it has no time for each of the %d images of %s", times, len(files), folder)
             return files, taken
     _, rows = headed(times)

@@ -179,7 +179,8 @@ def _write(
                 continue
             if isinstance(result, ConfigError):  # a picture of another shape, or, if most do not fit, another camera
                 misfits.append(f"{paths[row]}: {result}")
-                if kept == 0 and len(misfits) == _FITTING and not any(map(fits, spread(range(len(paths)), _FITTING))):
+                enough = 1 if on_error == "raise" else _FITTING
+                if kept == 0 and len(misfits) == enough and not any(map(fits, spread(range(len(paths)), _FITTING))):
                     break
             if on_error == "raise":
                 raise DataError(f"{paths[row]} cannot be read: {result} (on_error=skip leaves it out)")

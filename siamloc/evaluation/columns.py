@@ -72,21 +72,25 @@ def map_columns(known: FrameTable, queries: FrameTable) -> Columns:
 def missing_rooms(known: FrameTable, queries: FrameTable, excluded: NDArray[np.bool_] | None = None) -> str:
     """Return a sentence that names the queries' rooms that the map lacks, and a remedy; empty if the map has all.
 
-    A query in a room of which the protocol excludes all map frames counts as well.
+    Queries for which the protocol excludes all map frames of their room are named, too.
     """
     in_map, rooms = room_names(known, queries)
-    findable = np.isin(rooms, in_map)
-    if excluded is not None:
-        findable &= ((rooms[:, None] == in_map) & ~excluded).any(axis=1)
-    lacking = rooms[~findable & (rooms != "")]
-    if not len(lacking):
-        return ""
-    missing = sorted(set(lacking.tolist()))
-    lacks = "that the map lacks" if not np.isin(missing, in_map).any() else "of which the protocol leaves no map frame"
-    return (
-        f"{len(lacking)} of {len(rooms)} queries are in rooms {lacks} ({', '.join(missing)}), and cannot be found "
-        "there: add frames of these rooms to the map (protocol.map), or leave those queries out (protocol.query.rooms)"
-    )
+    lacking, said = rooms[~np.isin(rooms, in_map) & (rooms != "")], list[str]()
+    if len(lacking):
+        names = ", ".join(sorted(set(lacking.tolist())))
+        said.append(
+            f"{len(lacking)} of {len(rooms)} queries are in rooms that the map lacks ({names}), and cannot be found "
+            "there: add frames of these rooms to the map (protocol.map), or leave those queries out "
+            "(protocol.query.rooms)"
+        )
+    same = rooms[:, None] == in_map
+    barred = np.zeros(0) if excluded is None else rooms[same.any(axis=1) & ~(same & ~excluded).any(axis=1)]
+    if len(barred):
+        said.append(
+            f"{len(barred)} of {len(rooms)} queries may find no map frame of their room, which the protocol excludes "
+            f"({', '.join(sorted(set(barred.tolist())))}), and count as wrong: add frames of another drive to the map"
+        )
+    return "; ".join(said)
 
 
 def confusions(columns: Mapping[str, NDArray], what: str, labels: Sequence[str]) -> dict[str, Any]:

@@ -89,6 +89,12 @@ def mapping(
         "bytes": {"representatives": layer.representatives.nbytes, "descriptors": known.descriptors.nbytes},
     }
     data = known.made.get("data", {})
+    skipped = {"buildings": text} if (text := overlapping_buildings(frames)) else {}
+    if unplaced := int((~frames.has_position).sum()):
+        skipped["positions"] = (
+            f"{unplaced} of {len(known)} map frames have no position: loop closures cannot be judged, and silhouettes, "
+            "inertia and the plan are without these frames"
+        )
     return Result(
         name=name or known.descriptor.name,
         parts={"mapping": measures},
@@ -100,7 +106,7 @@ def mapping(
             "layer": layer.made,
             "edges": layer.edges,
         },
-        skipped={"buildings": text} if (text := overlapping_buildings(frames)) else {},
+        skipped=skipped,
         settings={
             "task": settings.plain(),
             "data": data,
@@ -130,11 +136,10 @@ def mapping_measures(columns: Mapping[str, NDArray], radius: float, gap: int) ->
     placed = np.isfinite(xy).all(axis=1)
     pure, inertias = analytic.measures.purity(labels, columns["room"]), _inertias(xy, labels)
     pairs = np.column_stack([columns["frame"], columns["closes_with"]])[columns["closes_with"] >= 0]
-    if placed.all():
-        closed = asdict(analytic.measures.closure_scores(pairs, xy, radius, gap))
-    else:
-        unknown = dict.fromkeys(("precision", "recall", "f1", "right", "closed", "revisits"), math.nan)
-        closed = {**unknown, "closures": len(pairs), "trivial": 0, "radius": radius, "gap": gap}
+    whole = bool(placed.all())
+    closed = asdict(analytic.measures.closure_scores(pairs, xy if whole else np.zeros_like(xy), radius, gap))
+    if not whole:
+        closed |= dict.fromkeys(("precision", "recall", "f1", "right", "closed", "revisits"), math.nan)
     ms = 1000 * np.asarray(columns["seconds"], dtype=np.float64)
     unassigned = int((labels < 0).sum())
     found = {

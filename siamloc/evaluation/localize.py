@@ -262,11 +262,14 @@ def _search(session: Session, what: str, task: str, known: VisualMap, k: int, sk
     inside, rows = (known if in_map.all() else known.take(in_map)), np.flatnonzero(in_queries)
     excluded = session.protocol.excluded(session.queries.take(rows), inside.frames)
     depth = most_neighbours(k, len(inside), excluded)
-    if excluded is not None and depth < min(k, int((~excluded).sum(axis=1).max())):
+    keys = [
+        f"protocol.{key}" for key in ("apart_seconds", "apart_metres") if getattr(session.protocol, key) is not None
+    ]
+    if excluded is not None and keys and depth < min(k, int((~excluded).sum(axis=1).max())):
         skipped[f"{task}, ranks"] = (
-            f"one of the queries may find only {depth} map frame{'s' * (depth > 1)} (protocol.apart_seconds, "
-            f"protocol.apart_metres), so that all measures of {task} count the first {depth} alone, also those named "
-            "for more: exclude less, or leave out queries that find so few"
+            f"one of the queries may find only {depth} map frame{'s' * (depth > 1)} ({' and '.join(keys)}), so that "
+            f"measures of {task} that are named for more count the first {depth} alone: exclude less, or leave out "
+            "queries that find so few"
         )
     return Search(inside, rows, depth, excluded=excluded)
 

@@ -160,14 +160,13 @@ def gather(folders: Sequence[str | Path]) -> list[RunFiles]:
 
 
 def _members(folder: Path) -> list[Path]:
-    """Return the runs of a sweep, a run or an evaluation itself, or else the evaluations that a folder holds."""
-    if runs := runs_in(folder):
-        return [run.folder for run in runs]
-    if run_with(real_path(folder)) or _results(folder, folder / "evaluation"):
+    """Return a run or an evaluation itself, or else the runs and the other evaluations that a folder holds."""
+    runs = {run.folder for run in runs_in(folder)}
+    if not runs and (run_with(real_path(folder)) or _results(folder, folder / "evaluation")):
         return [folder]
-    evaluated = {path.parent for path in folder.glob("*/evaluation")}
-    alone = {path.parent for path in _results(folder, folder) if run_with(path.parent) is None}
-    return sorted(evaluated | alone, key=by_numbers) or [folder]
+    held = runs.union(*({path.parent for path in folder.glob(each)} for each in ("*/evaluation", "*/*/evaluation")))
+    alone = {path.parent for path in _results(folder, folder) if not held.intersection(path.parents)}
+    return sorted(held | alone, key=by_numbers) or [folder]
 
 
 def _results(folder: Path, above: Path) -> list[Path]:

@@ -83,7 +83,7 @@ def test_without_positions_degrees_show_by_their_range():
 @pytest.mark.parametrize(
     ("columns", "says"),
     [
-        ({"room": ["A"] * 59 + [""]}, "1 of 60 frames have no room, .* rooms leave them out"),
+        ({"room": ["A"] * 59 + [""]}, "1 of 60 frames have no room, .* rooms are measured, grouped and"),
         ({"x": np.repeat(drive().x[::3], 3), "y": np.repeat(drive().y[::3], 3)}, "stands still in 40 of 60 frames"),
         ({"x": drive().x + 100 * (np.arange(60) > 30)}, "jumps by 99.7 m at 31.jpg.*several drives share the name"),
         ({"x": 1000 * drive().x, "y": 1000 * drive().y}, "the usual step of .* is [0-9]+ m.*millimetres, divide by"),

@@ -395,7 +395,7 @@ def test_frames_without_position_are_left_out_for_distance_labels(train, frames,
     run = train("a", frames=holes, pairs={"label": "distance", "same_room_share": 0.5})
     assert run.settings["frames"]["train"]["count"] == len(day) - 2
     assert "2 of 12 training frames have no position, which distance labels need" in caplog.text
-    assert "needs several rooms instead, experiment=photographs neither" in caplog.text
+    assert "needs several rooms instead; experiment=adapt, for panoramas" in caplog.text
     assert train("b", frames=holes, pairs={"label": "room"}).settings["frames"]["train"]["count"] == len(day)
     strict = PanoramaLibrary(frames, flat.parent / "cache", image_size=SIZE, on_error="raise")
     with pytest.raises(DataError, match="2 of 12 training frames have no position"):

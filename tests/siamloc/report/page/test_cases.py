@@ -136,9 +136,15 @@ def test_a_folder_of_evaluations_stands_for_them(run: Path, tmp_path: Path) -> N
     links = report(tmp_path, tmp_path / "results").one("table", class_="comparison").all("a")
     assert [link.text for link in links] == ["night2 · network", "night10 · network"]
     shutil.copytree(run, tmp_path / "results" / "run")
-    (tmp_path / "results" / "run" / "run.json").unlink(missing_ok=True)  # as of descriptors that are not trained
+    Run(tmp_path / "results" / "run").start({"training": {"epochs": 3}}, [])
+    shutil.copytree(run, tmp_path / "results" / "deep" / "untrained")
     links = report(tmp_path, tmp_path / "results").one("table", class_="comparison").all("a")
-    assert [link.text for link in links] == ["night2 · network", "night10 · network", "run · network"]
+    assert [link.text for link in links] == [
+        "untrained · network",
+        "night2 · network",
+        "night10 · network",
+        "run · network",
+    ]
 
 
 def test_runs_that_cannot_be_compared_are_marked(tmp_path: Path) -> None:
