@@ -168,8 +168,8 @@ def walk(
     if not wheels and isinstance(given.camera, AutoRing) and isinstance(ring, HyperbolicMirror | PolarRing):
         mirrored = "mirrored" if ring.mirrored else "not mirrored"
         say(f"direction: the robot is taken to drive ahead, and the picture to be {mirrored} (unwrap.mirrored=)")
-    open_ = settings.unwrap.get("level") is None and camera.elevations is not None
-    if open_ and not np.isfinite(frames.tilt).any() and len(tilts := camera.tilts(frames.path.tolist(), _LOOKED_AT)):
+    unsettled = settings.unwrap.get("level") is None and not np.isfinite(frames.tilt).any()
+    if unsettled and camera.elevations is not None and len(tilts := camera.tilts(frames.path.tolist(), _LOOKED_AT)):
         tilt = np.degrees(np.median(np.hypot(*tilts.T)))
         camera = replace(camera, level=bool(tilt > _SWAYS))
         how = "levelled by upright edges" if camera.level else "taken as they are"

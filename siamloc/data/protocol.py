@@ -229,8 +229,8 @@ class Protocol(Settings):
             lack = "time, which protocol.apart_seconds needs: give times, or use apart_metres or leave_one_out"
             _exclude_near(excluded, queries, known, (queries.time, known.time), self.apart_seconds, lack)
         if self.apart_metres is not None:
-            lack = "position along a drive, which protocol.apart_metres needs: give x and y, or use "
-            lack += "apart_seconds or leave_one_out"
+            remedy = "give x and y, or use apart_seconds or leave_one_out"
+            lack = f"position along a drive, which protocol.apart_metres needs: {remedy}"
             _exclude_near(excluded, queries, known, _travelled(queries, known, drives), self.apart_metres, lack)
         return excluded
 

@@ -161,7 +161,7 @@ def images_of(
         raise DataError(f"{folder} is not a folder of images")
     files = image_files(folder)
     if second is not None:
-        others = {other for file in files if (other := file.name.replace(second[0], second[1])) != file.name}
+        others = {other for file in files if (other := file.name.replace(*second)) != file.name}
         files = [file for file in files if file.name not in others]
     if not files:
         inside = sorted(path.name for path in folder.iterdir())
@@ -172,22 +172,24 @@ def images_of(
             )
         what = shortened(", ".join(inside)) or "nothing"
         raise DataError(f"{folder} holds no images; it holds: {what}{advice(inside)}{_deeper(folder)}")
+    there, own = {file.name: file for file in files}, times is None
     if times is None:
         taken = taken_at(files, span)
         times = next((path for place in (folder, folder.parent) if (path := place / _TIMES).is_file()), None)
         if np.isfinite(taken).all() or times is None:
             return files, taken
-        rows, names = headed(times)[1], {file.name: file for file in files}
-        named = {name for _, words in rows if (name := _named(words, names)[0])}
-        if len(rows) != len(files) if len(rows[0][1]) == 1 else len(named) < len(files):
+    _, rows = headed(times)
+    bare = len(rows[0][1]) == 1
+    if own:
+        named = {name for _, words in rows if (name := _named(words, there)[0])}
+        if len(rows) != len(files) if bare else len(named) < len(files):
             logger.warning("%s is not used: it has no time for each of the %d images of %s", times, len(files), folder)
             return files, taken
-    _, rows = headed(times)
-    if len(rows[0][1]) == 1:
+    if bare:
         if len(rows) != len(files):
             raise DataError(f"{times} holds {len(rows)} times for {len(files)} images in {folder}: expected one each")
         return files, _times(times, [words[0] for _, words in rows], span)
-    there, listed = {file.name: file for file in files}, dict[str, tuple[int, str]]()
+    listed = dict[str, tuple[int, str]]()
     for number, words in rows:
         name, time = _named(words, there)
         if name and not is_number(time):

@@ -165,9 +165,6 @@ def _write(
         except (UnreadableImageError, ConfigError) as error:
             return error
 
-    def fits(row: int) -> bool:
-        return isinstance(decode(row), np.ndarray)
-
     with (folder / "panoramas.npy").open("wb") as file:
         header = {"descr": "|u1", "fortran_order": False, "shape": (len(paths), 3, *size)}
         np.lib.format.write_array_header_1_0(file, header)
@@ -180,8 +177,10 @@ def _write(
             if isinstance(result, ConfigError):  # a picture of another shape, or, if most do not fit, another camera
                 misfits.append(f"{paths[row]}: {result}")
                 enough = 1 if on_error == "raise" else _FITTING
-                if kept == 0 and len(misfits) == enough and not any(map(fits, spread(range(len(paths)), _FITTING))):
-                    break
+                if kept == 0 and len(misfits) == enough:
+                    others = map(decode, spread(range(len(paths)), _FITTING))
+                    if not any(isinstance(one, np.ndarray) for one in others):
+                        break
             if on_error == "raise":
                 raise DataError(f"{paths[row]} cannot be read: {result} (on_error=skip leaves it out)")
             rejected.append({"row": row, "path": paths[row], "reason": str(result)})

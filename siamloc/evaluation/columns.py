@@ -77,20 +77,24 @@ def missing_rooms(known: FrameTable, queries: FrameTable, excluded: NDArray[np.b
     in_map, rooms = room_names(known, queries)
     lacking, said = rooms[~np.isin(rooms, in_map) & (rooms != "")], list[str]()
     if len(lacking):
-        names = ", ".join(sorted(set(lacking.tolist())))
         said.append(
-            f"{len(lacking)} of {len(rooms)} queries are in rooms that the map lacks ({names}), and cannot be found "
-            "there: add frames of these rooms to the map (protocol.map), or leave those queries out "
+            f"{len(lacking)} of {len(rooms)} queries are in rooms that the map lacks ({_listed(lacking)}), and cannot "
+            "be found there: add frames of these rooms to the map (protocol.map), or leave those queries out "
             "(protocol.query.rooms)"
         )
-    same = rooms[:, None] == in_map
-    barred = np.zeros(0) if excluded is None else rooms[same.any(axis=1) & ~(same & ~excluded).any(axis=1)]
-    if len(barred):
-        said.append(
-            f"{len(barred)} of {len(rooms)} queries may find no map frame of their room, which the protocol excludes "
-            f"({', '.join(sorted(set(barred.tolist())))}), and count as wrong: add frames of another drive to the map"
-        )
+    if excluded is not None:
+        same = rooms[:, None] == in_map
+        barred = rooms[same.any(axis=1) & ~(same & ~excluded).any(axis=1)]
+        if len(barred):
+            said.append(
+                f"{len(barred)} of {len(rooms)} queries may find no map frame of their room, which the protocol "
+                f"excludes ({_listed(barred)}), and count as wrong: add frames of another drive to the map"
+            )
     return "; ".join(said)
+
+
+def _listed(rooms: NDArray[np.str_]) -> str:
+    return ", ".join(sorted(set(rooms.tolist())))
 
 
 def confusions(columns: Mapping[str, NDArray], what: str, labels: Sequence[str]) -> dict[str, Any]:

@@ -246,7 +246,7 @@ def _features(network: nn.Module, example: Tensor) -> nn.Module:
         return _timm_features(network, example)
     if isinstance(network, VisionTransformer):
         return _Tokens(network, (example.shape[2], example.shape[3]))
-    if type(network).__module__.startswith("torchvision.models."):
+    if _of_torchvision(network):
         parts = [part for name, part in network.named_children() if name not in _AFTER]
         parts += [nn.ReLU(inplace=True)] if isinstance(network, DenseNet) else []  # no module of the library's class
         flat = [one for part in parts for one in (part if isinstance(part, nn.ModuleList) else [part])]

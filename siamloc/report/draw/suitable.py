@@ -78,7 +78,8 @@ def pictures(
             made[key] = partial(draw, measures[part])
     if "mapping" in measures and {"frames", "nodes"} <= set(tables):
         plan = node_plan(measures["mapping"], tables["frames"], tables["nodes"], name, occupancy)
-        made |= {"nodes": partial(nodes_on_plan, plan)} if len(plan.xy) else {}
+        if len(plan.xy):
+            made["nodes"] = partial(nodes_on_plan, plan)
     return made
 
 
