@@ -149,10 +149,13 @@ class Preprocessing:
         """Return the camera as words of the command line without defaults, such as "unwrap=polar unwrap.inner=60"."""
         given = self.unwrap_settings()
         plain = CAMERAS.get(kind := given.pop("kind"))
-        default = Preprocessing(PanoramaView(), plain()).unwrap_settings() if plain else {}
+        default = Preprocessing(PanoramaView(), self.camera if plain is None else plain()).unwrap_settings()
         usual = dict(leaves(default, "unwrap."))
-        own = {key: one for key, one in leaves(given, "unwrap.") if one is not None and one != usual.get(key)}
-        return as_words({"unwrap": kind, **own})
+        changed = {key: one for key, one in leaves(given, "unwrap.") if one is not None and one != usual.get(key)}
+        if plain is not None or self.camera is None:
+            return as_words({"unwrap": kind, **changed})
+        own = {f"+unwrap.{key}": one for key, one in _plain(self.camera).items() if one is not None}
+        return as_words({"unwrap": "own", "unwrap.kind": kind, **changed, **own})
 
     def sized_by(self, paths: Sequence[str | Path]) -> Preprocessing:
         """Return the preprocessing with the size of most of a few pictures of a list, if sizes matter.

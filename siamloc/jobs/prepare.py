@@ -96,7 +96,8 @@ class Prepare(DataJob):
                 chosen = {key: value for key, value in given.items() if key != "file" and value != usual[key]}
                 chosen = {**found.proposal, **chosen, "out": f"{self.recording.file.stem}_frames"}
                 words = as_words({f"recording.{key}": value for key, value in chosen.items()})
-                say(f"next: siamloc prepare {shlex.quote(str(self.recording.file))} {words}")
+                camera = "" if self.preprocessing.camera is None else f" {self.preprocessing.words()}"
+                say(f"next: siamloc prepare {shlex.quote(str(self.recording.file))} {words}{camera}")
                 return found
             extract(self.recording.file, self.recording.out, second=second, settings=self.recording)
         frames = self.data.read()

@@ -510,6 +510,8 @@ def test_the_command_looks_first_and_then_extracts(bags, tmp_path, monkeypatch, 
     assert main(["prepare", str(spaced)]) == 0
     assert shlex.split(capsys.readouterr().out.splitlines()[-1])[3] == str(spaced)
     spaced.unlink()
+    assert main(["prepare", str(bags["ros1"]), "unwrap=polar", "unwrap.inner=3"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].endswith(" unwrap=polar unwrap.inner=3")
     assert main([*command, "data.image_size=[16,32]", "data.circular=false"]) == 0  # no network, which takes long
     assert "decoded: 5 panoramas of 16 x 32 px" in capsys.readouterr().out
     frames = siamloc.data.read("manifest", manifest="night_ros1_frames/frames.csv")
