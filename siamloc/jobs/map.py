@@ -21,6 +21,7 @@ from siamloc.jobs.sweep import swept
 from siamloc.maps import Built, Refinement, VisualMap
 from siamloc.maps.maintenance import Maintenance
 from siamloc.runs import Run
+from siamloc.runtime.bundle import THUMBNAILS
 
 
 @dataclass(frozen=True)
@@ -176,7 +177,10 @@ class MapFrames(RunJob):
         say(f"picture: {picture}")
         if not swept():
             refined = Refinement.saved(path.with_name("refinement.json")) if self.build.name == "none" else None
-            self._say_next(say, "export", {} if refined is None else {"task.refine": refined.method})
+            more = {} if refined is None else {"task.refine": refined.method}
+            if (self.here.bundle / THUMBNAILS).exists():
+                more["thumbnails"] = True
+            self._say_next(say, "export", more)
         return known
 
     def _say_next(self, say: Say, command: str, more: Mapping[str, Any], task: str = "hierarchical") -> None:

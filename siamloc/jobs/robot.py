@@ -204,7 +204,8 @@ class Watch(Robot):
 
     Locates images as localize does, and serves a web page: the floor plan with the pose, its uncertainty and the
     path so far, the camera image next to the map image, the room, expected error and time. The page is read-only,
-    and visible only from this machine unless host= says otherwise. Needs the extra `live`: `pip install '.[live]'`.
+    and visible only from this machine unless host= says otherwise. Needs the extras `robot` and `live`:
+    `pip install '.[robot,live]'`.
 
         images=[drive.mp4]   files, folders as they are at the start, videos, or cameras such as camera:0
         bundle=FOLDER        the bundle; export it with thumbnails=true to see the map images

@@ -17,7 +17,7 @@ class Walk(WalkSettings, Job):
     """Make a robot that knows where it is from one recording of a drive.
 
     Finds the camera, chooses key frames, surveys them, makes a map, learns the expected errors, and writes the robot's
-    bundle and a report into one folder, which is then a run. True poses are not needed. Says each decision in a line.
+    bundle and a report into one folder, which is then a run. True poses are not needed. Says in a line what it decides.
 
         monday.mp4                      the recording: a video, a ROS bag, or a folder of pictures
         recording.odometry=FILE         poses by the robot's wheels over time, or the topic of a bag; without any, the

@@ -476,10 +476,11 @@ def test_the_command_takes_drives_together_and_in_tables_of_their_own(drives, tm
     done("map", *common, table("changed"), "update.sequences=[changed]")
     assert capsys.readouterr().out.splitlines()[-1] == f"next: siamloc export run={tmp_path / 'run'} descriptor=hog"
     Refinement("interpolate").save(tmp_path / "run/evaluation/hog/refinement.json")
+    done("export", f"run={tmp_path / 'run'}", "descriptor=hog", "thumbnails=true")
     done("map", *common, table(*DRIVES), "update.sequences=[later,same]", "update.forget=2")
     said, (saved,) = capsys.readouterr().out, tmp_path.glob("run/evaluation/hog/map.npz")
     assert f"picture: {saved.with_name('staleness.png')}" in said
-    refined = "task.refine=interpolate"
+    refined = "task.refine=interpolate thumbnails=true"  # as the bundle has
     assert said.splitlines()[-1] == f"next: siamloc export run={tmp_path / 'run'} {refined} descriptor=hog"
     known = VisualMap.load(saved)
     assert known.history.joined.any()
