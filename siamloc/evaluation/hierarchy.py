@@ -142,7 +142,7 @@ def evaluate_hierarchical(
     """Compare the results of a hierarchical search with the queries' true poses.
 
     The table "queries" is that of `evaluate_absolute`, with further columns: `node` of the estimate and `true_node`,
-    see `true_nodes` (-1 for none); `nodes_tried`, numbers in one string, the best first; `coarse_correct`, whether the
+    see `true_nodes` (-1 for none); `nodes_tried`, numbers in one string, the best first; `coarse_correct`, whether a
     true node was tried (frames in no node are always searched, so a query without a true node counts as correct);
     `frames_compared` and `comparisons`, which also counts the comparisons with the coarse layer; `error_perfect_coarse`
     and `error_absolute`, the errors of a search for the same query in the true node alone and in the whole map. The
@@ -162,12 +162,13 @@ def evaluate_hierarchical(
     base = evaluate_absolute(visual_map, frames, found.found, radii, ks, headings)
     known = visual_map.frames.xy
     true = perfect.tried[:, 0]
+    right = (found.tried[:, :, None] == perfect.tried[:, None]) & (perfect.tried[:, None] != UNASSIGNED)
     columns: Columns = {
         **base.tables["queries"],
         "node": found.node,
         "true_node": true,
         "nodes_tried": np.array([" ".join(map(str, row[row != UNASSIGNED])) for row in found.tried], dtype=np.str_),
-        "coarse_correct": (found.tried == true[:, None]).any(axis=1) | (true == UNASSIGNED),
+        "coarse_correct": right.any(axis=(1, 2)) | (true == UNASSIGNED),
         "frames_compared": found.frames_compared,
         "comparisons": found.compared,
         "error_perfect_coarse": localization_error(known[perfect.found.indices[:, 0]], frames.xy),
@@ -192,10 +193,10 @@ def evaluate_hierarchical(
 
 
 def true_nodes(visual_map: VisualMap, layer: CoarseLayer, frames: FrameTable) -> NodeRanking:
-    """Return the true node of each query (n, 1): the node of its room if nodes are rooms, so that labels decide.
+    """Return the true node of each query: the node of its room if nodes are rooms, so that labels decide.
 
     In other layers, and for queries without a room label or in a room that the map lacks, it is the node of the
-    geometrically nearest map frame.
+    geometrically nearest map frame, or several nodes with equally near frames; see `rank_by_position`.
 
     Args:
         visual_map: a map of m frames, all with positions.
@@ -206,7 +207,8 @@ def true_nodes(visual_map: VisualMap, layer: CoarseLayer, frames: FrameTable) ->
     if layer.made.get("name") != "rooms":
         return nearest
     labelled = numbered(frames.place, layer.names.tolist())[:, None]
-    return replace(nearest, nodes=np.where(labelled == UNASSIGNED, nearest.nodes, labelled))
+    alone = np.where(np.arange(nearest.nodes.shape[1]) == 0, labelled, UNASSIGNED)
+    return replace(nearest, nodes=np.where(labelled == UNASSIGNED, nearest.nodes, alone))
 
 
 def node_measures(columns: Mapping[str, NDArray], about: Mapping[str, Any]) -> dict[str, Any]:
@@ -266,6 +268,7 @@ def _run(
     """
     known, queries = session.known, session.queries
     scored, rankings = queries.has_position, None
+    true, place = true_nodes(known, search.layer, queries.take(scored)), np.cumsum(scored) - 1
 
     def ranked(part: Description) -> NodeRanking:
         with clock.of("rank", len(part)):
@@ -286,7 +289,6 @@ def _run(
         found.append(_Found(both, whole, headings(known, part, both.found)[:, 0]))
         inside = np.flatnonzero(scored[rows])
         if len(inside):
-            true = true_nodes(known, search.layer, queries.take(rows[inside]))
-            perfect.append(search.search(part.take(inside), true, 1))
+            perfect.append(search.search(part.take(inside), true.take(place[rows[inside]]), 1))
         start += len(part)
     return _Found.concatenate(found), HierarchicalRetrieval.concatenate(perfect) if perfect else None

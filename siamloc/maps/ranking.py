@@ -88,7 +88,8 @@ def rank_by_vote(found: Retrieval, labels: ArrayLike, candidates: int = 1) -> No
 def rank_by_position(query_xy: ArrayLike, map_xy: ArrayLike, labels: ArrayLike) -> NodeRanking:
     """Return the node of the geometrically nearest map frame: a perfect coarse layer, which no robot has.
 
-    A query whose nearest frame is in no node has no candidate.
+    Nodes whose nearest frames are equally near up to rounding (a nanometre) are all candidates, by number. A query with
+    such a frame in no node has UNASSIGNED as its first candidate.
 
     Args:
         query_xy: (n, 2) true positions.
@@ -98,8 +99,13 @@ def rank_by_position(query_xy: ArrayLike, map_xy: ArrayLike, labels: ArrayLike) 
     Raises:
         DataError: a position that is not finite.
     """
-    closest = VectorIndex(map_xy).search(query_xy)
-    return NodeRanking(np.asarray(labels)[closest.indices], np.zeros(len(closest), dtype=np.int64))
+    index, present = VectorIndex(map_xy), np.unique(labels)
+    rows = [np.flatnonzero(np.asarray(labels) == node) for node in present]
+    apart = np.hstack([index.search(query_xy, within=inside).distances for inside in rows])
+    near = apart <= apart.min(axis=1, keepdims=True) + 1e-9
+    order = np.argsort(~near, axis=1, kind="stable")[:, : near.sum(axis=1).max(initial=0)]
+    nodes = np.take_along_axis(np.where(near, present, UNASSIGNED), order, axis=1)
+    return NodeRanking(nodes, np.zeros(len(nodes), dtype=np.int64))
 
 
 def _elected(votes: NDArray[np.int64], total: int, k: int) -> NDArray[np.int64]:

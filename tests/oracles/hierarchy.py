@@ -21,8 +21,9 @@ def by_vote(nearest_frames, labels, candidates: int) -> list[int]:
     return ranked[:candidates]
 
 
-def by_position(query_xy, map_xy, labels) -> int:
-    return labels[min(range(len(map_xy)), key=lambda frame: (math.dist(map_xy[frame], query_xy), frame))]
+def by_position(query_xy, map_xy, labels) -> list[int]:
+    apart = [math.dist(xy, query_xy) for xy in map_xy]
+    return sorted({label for label, distance in zip(labels, apart, strict=True) if distance <= min(apart) + 1e-9})
 
 
 def search(query, descriptors, labels, nodes, k: int, distance: str) -> tuple[list[int], list[float], int]:

@@ -7,6 +7,7 @@ import pytest
 
 from analytic import Description
 from siamloc import maps
+from siamloc.data import FrameTable
 from siamloc.errors import ConfigError
 from siamloc.evaluation import metrics
 from siamloc.evaluation.absolute import neighbours
@@ -87,6 +88,22 @@ def test_a_perfect_coarse_layer_finds_the_nearest_frame() -> None:
     overall = evaluated(known, layer, queries, queries.xy, ranking=perfect).parts["hierarchical"]["overall"]
     assert overall["excess"]["max"] < 1e-6
     assert overall["error"] == overall["perfect_coarse"]["error"]
+
+
+@pytest.mark.parametrize("order", [["cloudy", "night"], ["night", "cloudy"]])
+def test_every_node_with_an_equally_near_frame_is_right(order: list[str]) -> None:
+    stations = np.arange(20.0)
+    lighting = np.repeat(order, 20)
+    paths = np.array([f"{light}{i:02d}.png" for light in order for i in range(20)])
+    frames = FrameTable(path=paths, x=np.tile(stations, 2), y=np.zeros(40), lighting=lighting)
+    misled = np.where(lighting == "night", frames.x, np.round(frames.x / 4) * 4)
+    known = VisualMap(np.column_stack([misled, 100 * (lighting == "cloudy")]), frames)
+    night = frames.select(lighting="night")
+    layer = CoarseLayer.of_labels(known, np.repeat([0, 1], 20))
+    vectors = np.column_stack([stations, np.zeros(20)])
+    overall = evaluated(known, layer, night, vectors, candidates=1).parts["hierarchical"]["overall"]
+    assert (overall["coarse"]["accuracy"], overall["hit_rate"][0]["rate"]) == (1, 1)
+    assert overall["perfect_coarse"]["error"]["mean"] == 0
 
 
 def test_the_right_room_is_that_of_the_label_where_the_nearest_frame_is_in_another(tmp_path) -> None:
