@@ -22,6 +22,8 @@ from siamloc.versions import versions as versions_of
 
 Columns = dict[str, NDArray[Any]]
 UNLABELLED = "(unlabelled)"
+RESERVED = frozenset({UNLABELLED, "all", "all queries"})
+"""Names of groups of queries in tables and pictures, which no lighting and no room can have."""
 FURTHER: dict[str, str] = {
     "filtered": "filter",
     "interpolated": "interpolation",

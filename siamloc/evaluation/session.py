@@ -23,6 +23,7 @@ from siamloc.evaluation.offsets import overlapping_buildings
 from siamloc.evaluation.result import Result
 from siamloc.maps import RefinedPoses, Refinement, Retrieval, VisualMap, frame_distances, headings, match
 from siamloc.maps.describing import descriptor_from
+from siamloc.results import RESERVED
 from siamloc.stopwatch import Stopwatch
 
 Baselines = Mapping[str, Descriptor] | Sequence[str | Descriptor] | str | Descriptor
@@ -113,7 +114,8 @@ class Session:
         ConfigError: arguments of the wrong type, queries that the protocol forbids in this map, validation frames from
             the map's or the queries' sequences, panoramas made in another way than those of the map, or an unknown
             baseline.
-        DataError: no image of the queries can be read, or positions in different units.
+        DataError: no image of the queries can be read, positions in different units, or a query whose lighting or room
+            has a name in `siamloc.results.RESERVED`.
     """
 
     @typed
@@ -137,6 +139,9 @@ class Session:
         self.baselines = _named(baselines, images.circular)
         self.skipped: dict[str, str] = {}
         known.check_images(images.preprocessing.parameters(), images.preprocessing.size)
+        for what, labels in (("lighting", self.queries.lighting), ("room", self.queries.place)):
+            if taken := RESERVED.intersection(labels.tolist()):
+                raise DataError(f"queries have the {what} {min(taken)!r}, which names a row of the tables: rename it")
         tables = known.frames, self.queries, self.validation
         check_units(one for one in tables if one is not None and one.has_position.any())
         if text := overlapping_buildings(known.frames, self.queries):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -363,6 +364,16 @@ def test_queries_and_validation_in_another_unit_than_the_map_are_refused_by_ever
             task()
     nowhere = replace(feet, x=np.full(30, np.nan))
     assert "room_retrieval" in evaluation.rooms(known, images, nowhere).parts
+
+
+@pytest.mark.parametrize(
+    ("column", "label"), [("lighting", "all"), ("lighting", "all queries"), ("room", "(unlabelled)")]
+)
+def test_queries_whose_label_names_a_row_of_the_tables_are_refused(world, column, label):
+    images, _, tuesday, _, known = world
+    labels = np.where(np.arange(len(tuesday)) % 2, label, "night")
+    with pytest.raises(DataError, match=rf"the {column} {re.escape(repr(label))}, which names a row of the tables"):
+        evaluation.compact(known, images, tuesday.with_columns(**{column: labels}), nodes=(2,), ways=("sample",))
 
 
 def test_every_result_says_what_its_methods_take_and_keep(world, tmp_path):
