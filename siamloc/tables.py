@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 import textwrap
+import unicodedata
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from foundation.files import csv_text
+from foundation.settings import shortened
 
 NOTHING = "–"
 WIDTH = 116
 _NARROW = 7  # characters, within which a heading is not broken
+_LONGEST_NAME = 40  # characters in a picture
 
 Form = int | Literal["text", "short", "count", "percent", "share"]
 
@@ -122,21 +125,26 @@ class Table:
         """Return the lines of each column, equally long: heading, unit, and cells."""
         heads, cells = [], [list(column) for column in zip(*self.cells, strict=True)] or [[] for _ in self.columns]
         for column, values in zip(self.columns, cells, strict=True):
-            widest = max(_NARROW, *map(len, (*column.name.split(), *values)))
+            widest = max(_NARROW, *map(width_of, (*column.name.split(), *values)))
             heads.append([*textwrap.wrap(column.name, widest), *([f"[{column.unit}]"] if column.unit else [])])
         lines = [
             [""] * (max(map(len, heads)) - len(head)) + head + values for head, values in zip(heads, cells, strict=True)
         ]
-        widths = [max(map(len, column)) for column in lines]
+        widths = [max(map(width_of, column)) for column in lines]
         return [
-            [line.ljust(width) if column.form == "text" else line.rjust(width) for line in own]
+            [_padded(line, width, column.form == "text") for line in own]
             for column, own, width in zip(self.columns, lines, widths, strict=True)
         ]
 
 
+def _padded(text: str, width: int, left: bool) -> str:
+    pad = " " * (width - width_of(text))
+    return text + pad if left else pad + text
+
+
 def _blocks(columns: list[list[str]], labels: int, width: int) -> list[str]:
     """Return the lines of a table whose columns are put below each other if they are wider than `width`."""
-    widths = [len(column[0]) + 2 for column in columns]
+    widths = [width_of(column[0]) + 2 for column in columns]
     while labels > 1 and sum(widths[:labels]) > width // 2:
         labels -= 1
     blocks, used = [columns[:labels]], sum(widths[:labels])
@@ -150,6 +158,21 @@ def _blocks(columns: list[list[str]], labels: int, width: int) -> list[str]:
     for block in blocks:
         lines += [""] * bool(lines) + ["  ".join(line).rstrip() for line in zip(*block, strict=True)]
     return lines
+
+
+def width_of(text: str) -> int:
+    """Return how many columns of a terminal a text takes: Chinese, Japanese and Korean letters take two each.
+
+    Example:
+        >>> width_of("lab"), width_of("厨房")
+        (3, 4)
+    """
+    return len(text) + sum(unicodedata.east_asian_width(letter) in ("W", "F") for letter in text)
+
+
+def short_name(name: str) -> str:
+    """Return the name of a room as a picture shows it: very long ones are cut in the middle."""
+    return shortened(name, _LONGEST_NAME)
 
 
 def number(value: float | None, digits: int = 3) -> str:

@@ -43,6 +43,11 @@ def test_one_table_is_the_same_as_text_markdown_and_csv():
     assert (rows[1]["mean [m]"], rows[1]["time [ms]"]) == ("", "")
 
 
+def test_wide_letters_count_twice_in_the_alignment():
+    table = Table("t", (Column("room"), Column("mean", "m", 2)), (("厨房", 0.5), ("kitchen", 12.25)))
+    assert table.text().splitlines()[-2:] == ["厨房      0.50", "kitchen  12.25"]
+
+
 def measured(told):
     error = {"mean": 0.5, "median": 0.4, "p95": 0.9}
     group = {"queries": 32, "error": error, "floor": {"mean": 0.2}, "excess": {"mean": 0.3}, "recall": []}

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from siamloc.data.occupancy import OccupancyMap
 from siamloc.report.draw.look import PALE, PAPER, SOFT, TEXT, Picture, legend_entries, lighting_colours, panels, style
 from siamloc.results import rows_by_label, truth
+from siamloc.tables import short_name
 
 Table = Mapping[str, NDArray]
 
@@ -148,7 +149,9 @@ def _name_rooms(axes: Axes, map_columns: Table) -> None:
     for label, rows in rooms.items():
         x, y = map_columns["x"][rows].mean(), map_columns["y"][rows].mean()
         halo = [withStroke(linewidth=2, foreground=PAPER)]
-        axes.text(x, y, label, fontsize=6.5, color=TEXT, ha="center", va="center", path_effects=halo, zorder=5)
+        axes.text(
+            x, y, short_name(label), fontsize=6.5, color=TEXT, ha="center", va="center", path_effects=halo, zorder=5
+        )
 
 
 def _legend(truth: str) -> Sequence[Line2D]:

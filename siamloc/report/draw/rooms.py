@@ -11,6 +11,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import ArrayLike, NDArray
 
 from siamloc.report.draw.look import GRID, INK, PAPER, SERIES, SOFT, Picture, panels, style
+from siamloc.tables import short_name, width_of
 
 _CELL = 0.52  # inches; room for a share and a count
 _LARGEST = 9.0  # largest matrix in inches
@@ -36,13 +37,15 @@ def confusion(
     """
     n = len(labels)
     matrices = {title: np.asarray(part) for title, part in counts.items()}
-    alone, longest = len(matrices) == 1, max(map(len, labels))
+    shown = [short_name(label) for label in labels]
+    alone, longest = len(matrices) == 1, max(map(width_of, shown))
     side = float(np.clip((1.0 if alone else 0.8) * _CELL * n, 1.5, _LARGEST if alone else 4.0))
     fits = side / n >= 0.36
-    names = [f"{label}\n(not in map)" if label in missing else label for label in labels]
-    margin = (0.35 + 0.075 * (longest + (11 if alone else 0)), 0.45 + 0.055 * longest)
+    names = [name + "\n(not in map)" * (label in missing) for name, label in zip(shown, labels, strict=True)]
+    slanted = 0.055 * longest  # inches, of the names below a matrix: they reach as far to its left
+    margin = (0.35 + 0.075 * (longest + (11 if alone else 0)), 0.45 + slanted)
     look: dict[str, Any] = {"sharex": True, "sharey": True, "margin": margin, "ylabel": f"true {what} of the query"}
-    figure, every = panels(len(matrices), side + 0.15, side + 0.5, **look)
+    figure, every = panels(len(matrices), side + 0.15 + (0 if alone else slanted), side + 0.5, **look)
     for axes, (title, part) in zip(every, matrices.items(), strict=True):
         _matrix(axes, part, fits, n <= _MOST_TEXTS)
         total = int(part.sum())

@@ -18,6 +18,7 @@ from siamloc.report.draw.floor_plan import along
 from siamloc.report.draw.look import series_1_2_5
 from siamloc.report.page.gathered import Evaluation
 from siamloc.results import Columns, finest, rows_by_label
+from siamloc.tables import short_name
 
 WORST = 20
 _CLASSES = 6
@@ -179,7 +180,7 @@ def _room_labels(known: Columns) -> list[list[Any]]:
             continue
         x, y = known["x"][rows], known["y"][rows]
         at = rows[np.argmin(np.hypot(x - x.mean(), y - y.mean()))]
-        labels.append([room, int(at), len(rows)])
+        labels.append([short_name(room), int(at), len(rows)])
     return labels
 
 

@@ -12,6 +12,7 @@ from matplotlib.colors import to_rgb
 from siamloc.errors import ConfigError, DataError
 from siamloc.report.draw.curves import compact_curves, pair_curves, robustness_curves, swept_curves
 from siamloc.report.draw.errors import calibration_curve, node_errors
+from siamloc.report.draw.look import save
 from siamloc.report.draw.rooms import confusion
 from siamloc.results import read_results
 from tests.siamloc.report.draw.looking import lines_of, text_of
@@ -28,6 +29,16 @@ def test_a_confusion_matrix_shows_shares_and_counts() -> None:
     for words in ("75 %\n3", "25 %\n1", "99.8 %\n400", "0.2 %\n1", "KT-A  (n = 4)", "LO-A\n(not in map)  (n = 0)"):
         assert words in text
     assert "1.0 % of 405 right" in text
+
+
+@pytest.mark.parametrize("titles", [["all queries"], ["cloudy", "night"]])
+@pytest.mark.parametrize("name", ["lab", "\N{HANGUL SYLLABLE GA}" * 28, "long" * 38])
+def test_long_names_leave_a_confusion_matrix_its_size(name: str, titles: list[str], tmp_path: Path) -> None:
+    figure = confusion([name, "kitchen", "hall"], dict.fromkeys(titles, np.eye(3, dtype=int)))
+    save(figure, tmp_path / "confusion.png")
+    for axes in figure.axes:
+        assert axes.get_window_extent().width / figure.dpi > 1.2
+    assert figure.axes[0].yaxis.label.get_window_extent().x0 >= 0
 
 
 def test_a_crowded_confusion_matrix_shows_shares_only() -> None:

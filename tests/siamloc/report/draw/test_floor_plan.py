@@ -49,6 +49,16 @@ def test_every_plan_has_the_building_behind_it() -> None:
     assert not [one for axes in drawn(None) for one in images(axes)]
 
 
+def test_a_very_long_name_of_a_room_is_cut_in_the_middle() -> None:
+    columns = {"x": XY[:, 0], "y": XY[:, 1]}
+    queries = {**columns, "est_x": XY[:, 0], "est_y": XY[:, 1], "error": np.zeros(3), "lighting": np.full(3, "night")}
+    figure = floor_plan(queries, {**columns, "room": np.full(3, "begin" + "x" * 140 + "end")})
+    (name,) = [text.get_text() for text in figure.axes[0].texts]
+    assert len(name) == 40
+    assert name.startswith("begin")
+    assert name.endswith("end")
+
+
 def test_a_turned_map_is_turned_about_its_corner() -> None:
     axes = drawn(known(math.pi / 2))[0]
     (image,) = images(axes)
