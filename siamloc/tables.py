@@ -111,10 +111,11 @@ class Table:
         return "\n".join([*filter(None, [self.title]), *lines, *self.notes])
 
     def markdown(self) -> str:
-        """Return the table in Markdown."""
+        """Return the table in Markdown, with the cells on one line and their vertical bars escaped."""
         rules = ["---" if column.form == "text" else "---:" for column in self.columns]
         lines = [[column.heading for column in self.columns], rules, *self.cells]
-        return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+        plain = ([" ".join(cell.splitlines()).replace("|", r"\|") for cell in line] for line in lines)
+        return "\n".join(f"| {' | '.join(line)} |" for line in plain)
 
     def csv(self) -> str:
         """Return the table as CSV: numbers in full precision, unknown values empty."""

@@ -48,6 +48,11 @@ def test_wide_letters_count_twice_in_the_alignment():
     assert table.text().splitlines()[-2:] == ["厨房      0.50", "kitchen  12.25"]
 
 
+def test_a_cell_of_a_markdown_table_stays_one_cell():
+    table = Table("t", (Column("A|B"), Column("mean", form=2)), (("hall|\nlab", 0.5),))
+    assert table.markdown().splitlines() == [r"| A\|B | mean |", "| --- | ---: |", r"| hall\| lab | 0.50 |"]
+
+
 def measured(told):
     error = {"mean": 0.5, "median": 0.4, "p95": 0.9}
     group = {"queries": 32, "error": error, "floor": {"mean": 0.2}, "excess": {"mean": 0.3}, "recall": []}
