@@ -63,7 +63,7 @@ _STYLE: dict[str, Any] = {
 _FURTHER_FONTS = (
     *("Noto Sans CJK JP", "Noto Sans CJK SC", "Noto Sans SC", "Noto Sans JP", "Noto Sans KR", "WenQuanYi Zen Hei"),
     *("WenQuanYi Micro Hei", "Droid Sans Fallback", "Microsoft YaHei", "SimHei", "Yu Gothic", "Malgun Gothic"),
-    *("PingFang SC", "Hiragino Sans", "Arial Unicode MS"),
+    *("PingFang SC", "Hiragino Sans", "NanumGothic", "Apple SD Gothic Neo", "Arial Unicode MS"),
     *("Noto Sans Devanagari", "Noto Sans Thai", "Nirmala UI", "Leelawadee UI"),
 )
 _UNNAMED = re.compile(r"(_child\d+)?")  # the labels that matplotlib gives to what has none
