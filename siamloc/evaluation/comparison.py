@@ -61,7 +61,7 @@ def compare(folders: str | Path | Iterable[str | Path], by: str | None = None) -
     measures = [_measures(path, one) for path, one in zip(paths, results, strict=True)]
     known = dict.fromkeys(name for found in measures for name in found)
     by = _chosen(by, list(known), {part for one in results for part in one["measures"]})
-    settings, keys = _settings(paths, results)
+    settings, keys = _settings(paths, results, [by in found for found in measures])
     shown = [name for name in _columns(known) if name != by]
     rows = [
         {
@@ -161,10 +161,14 @@ def _columns(known: Iterable[str]) -> list[str]:
     return [*errors, *(name for name in others if name in names)]
 
 
-def _settings(paths: Sequence[Path], results: Sequence[Mapping[str, Any]]) -> tuple[list[dict[str, Any]], list[str]]:
+def _settings(
+    paths: Sequence[Path], results: Sequence[Mapping[str, Any]], ranked: Sequence[bool]
+) -> tuple[list[dict[str, Any]], list[str]]:
     """Return the settings of each evaluation by key, and the keys whose values differ, swept settings first.
 
     If sweeps record what they swept, or runs what they were trained with, only those settings count: the rest follows.
+    Otherwise it is the settings in which the evaluations differ that have the measure to rank by: another task has
+    other settings.
     """
     swept = [dict(one.get("swept") or {}) for one in results]
     trained = [_of_training(path) for path in paths]
@@ -177,10 +181,10 @@ def _settings(paths: Sequence[Path], results: Sequence[Mapping[str, Any]]) -> tu
     for training, found, said in zip(trained, own, swept, strict=True):
         of_run = {key: training[key] for key in of_runs if key in training}
         settings.append({**found, **of_run, **{key: value for key, value in said.items() if value is not None}})
-    further = [*_ALWAYS, *of_runs]
+    keys = differing(settings, dict.fromkeys([*first, *_ALWAYS, *of_runs]))
     if not all(swept) and not of_runs:
-        further += [key for found in own for key in found]
-    keys = differing(settings, dict.fromkeys([*first, *further]))
+        further = differing([found for found, has in zip(settings, ranked, strict=True) if has])
+        keys = list(dict.fromkeys([*keys, *further]))
     for group in ("descriptor", "build"):
         if group in keys:  # each descriptor, and each way to build nodes, has parameters of its own
             keys = [key for key in keys if key in first or not key.startswith(f"{group}.")]

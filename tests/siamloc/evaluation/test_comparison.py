@@ -97,6 +97,15 @@ def test_evaluations_without_the_measure_come_last(measured, tmp_path):
     assert len(found.plot().axes[0].lines[0].get_xdata()) == 1
 
 
+def test_settings_of_a_task_without_the_measure_make_no_columns(measured, tmp_path):
+    write(measured, tmp_path / "a", 0.9)
+    other = replace(measured, parts={"compact": {"queries": 3}}, settings={"task": {"radius": 0.5}})
+    other.save(tmp_path / "compact", pictures=False)
+    found = compare(tmp_path)
+    assert (found.differing, len(found.rows)) == ((), 2)
+    assert found.verdict() == f"best: error 0.9, in {(tmp_path / 'a').as_posix()}"
+
+
 def test_mistakes_are_named(measured, tmp_path):
     for folders, says in (
         (tmp_path / "no", "no folder"),
