@@ -120,10 +120,12 @@ class PlaceSampler:
         }
         wanted = {"radius": settings.images > 1 and settings.radius > 0, "reach": settings.near > 0}
         lonely = {key: int((self._nearest > getattr(settings, key)).sum()) for key in instead if wanted[key]}
+        half = np.median(self._nearest)
         return [
             f"{count} of {len(self.frames)} frames have no other one within pairs.{key}={getattr(settings, key):g} "
-            f"{unit}: {instead[key]}; a larger pairs.{key} finds some (half of the frames have one within "
-            f"{np.median(self._nearest):.3g} {unit})"
+            f"{unit}: {instead[key]}; a larger pairs.{key} finds some"
+            + f" (half of the frames have one within {half:.3g} {unit})"
+            * bool(half > getattr(settings, key))
             for key, count in lonely.items()
             if count
         ]

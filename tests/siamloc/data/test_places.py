@@ -58,6 +58,7 @@ def test_frames_that_stand_alone_are_counted():
     radius, reach = sampler.notes()
     assert radius.startswith("3 of 6 frames have no other one within pairs.radius=0.3 m: their places have the")
     assert reach.startswith("1 of 6 frames have no other one within pairs.reach=5 m: ")
+    assert reach.endswith("a larger pairs.reach finds some"), "half of the frames have one nearer than that"
     elsewhere = frames.with_columns(building=["a", "b", "b", "b", "b", "b"])
     assert PlaceSampler(elsewhere, PlaceSettings(places=2, images=2)).notes()[0].startswith("4 of 6 frames")
 
