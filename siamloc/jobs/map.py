@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from analytic.mapper import IncrementalMapper
 from foundation.files import check_writable
 from foundation.settings import as_words, defaults_of
@@ -115,7 +117,8 @@ class MapFrames(RunJob):
         if known.heading is not None and known.orientation is not None:
             size = known.orientation[0].nbytes
             what = "headings" if known.heading_by.tells_heading else "comparison"
-            say(f"{what}: by {known.heading['name']}, {size} bytes a frame")
+            if what == "comparison" or np.isfinite(known.frames.theta).any():
+                say(f"{what}: by {known.heading['name']}, {size} bytes a frame")
         if self.build.name != "none":
             folder = self.layer_folder(label)
             say(self.group(known, folder).summary(folder))

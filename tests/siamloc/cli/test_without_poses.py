@@ -86,6 +86,13 @@ def test_some_queries_without_poses(without, given, tmp_path, capsys, more, name
     assert "no map frame has a position" in error or "24 of 24 map frames have no position" in error
 
 
+@pytest.mark.parametrize(("fields", "said"), [((), True), (("theta",), False)])
+def test_a_map_says_how_it_finds_headings_only_where_a_frame_has_one(without, words, tmp_path, capsys, fields, said):
+    table = without(*fields, which=lambda row: True)
+    done("map", *words, f"run={tmp_path}", "descriptor=thumbnail", "heading=hog", f"data.manifest={table}")
+    assert ("headings: by hog" in capsys.readouterr().out) == said
+
+
 def test_expected_errors_do_not_depend_on_whether_the_pose_is_known(flat, without, given, tmp_path, capsys):
     half = without("y", which=lambda row: row["sequence"] == "second" and int(row["time"]) % 2)
     more = ["task=absolute", "task.error_model=true", *QUICK]
