@@ -163,8 +163,8 @@ def _frame(file: Path, line: int, names: dict[str, int], cells: list[str]) -> di
             if abs(frame[name]) > largest or "_" in cell:
                 kind = {"time": "of seconds", "theta": "of rad"}.get(name, f"up to {largest:.3g}")
                 raise DataError(
-                    f"{file}, line {line}, column {name!r}: {cell!r} is not a number {kind}; leave the cell empty "
-                    "where the value is unknown"
+                    f"{file}, line {line}, column {name!r}: {cell!r} is not a number {kind}; write it with a "
+                    "decimal point, or leave the cell empty where the value is unknown"
                 )
     turned = [frame.pop(name, math.nan) for name in _QUATERNION]
     if not any(map(math.isnan, turned)):
