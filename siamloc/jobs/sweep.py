@@ -13,7 +13,9 @@ from typing import Any
 from foundation.settings import within
 
 Choice = Callable[[str], bool]
-_MOST_LETTERS = 150  # in a folder name; file systems allow 255 bytes
+_MOST_BYTES = 150  # in a folder name; file systems allow 255
+_UNUSUAL = re.compile(r"[^\w.+/=\[\]'\",:*-]")
+"""A symbol that values may differ in alone, such as the brackets of "Tag (1)"."""
 _OF_MAPS = (
     "data",
     "unwrap",
@@ -70,10 +72,13 @@ def sweep_suffix(wanted: Choice | None = None) -> str:
     text = "_".join(sorted(chosen))
     if wanted is None and not text and sweep.number is not None:
         text = str(sweep.number)
-    text = re.sub(r"[^\w.+-]+", "-", text)
-    if len(text) > _MOST_LETTERS:
-        text = f"{text[:_MOST_LETTERS]}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
-    return text
+    name = re.sub(r"[^\w.+-]+", "-", text)
+    if not (unusual := _UNUSUAL.search(text)):
+        text = name
+    if unusual or len(name.encode()) > _MOST_BYTES:
+        start = name.encode()[:_MOST_BYTES].decode(errors="ignore")
+        name = f"{start}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+    return name
 
 
 def own_folder(folder: Path, titles: Mapping[str, str], wanted: Choice) -> Path:
