@@ -227,7 +227,7 @@ class FrameTable:
 
         Args:
             **wanted: one label or several, by column (`sequence`, `room`, `lighting`, `building`); shell patterns
-                such as "*seq2_cloudy?" are understood.
+                such as "*seq2_cloudy?" are understood, but a label that frames carry is no pattern.
 
         Raises:
             ConfigError: an unknown column, or a label that no frame carries (the message lists the valid ones).
@@ -242,8 +242,7 @@ class FrameTable:
             if not isinstance(labels, Iterable):
                 raise ConfigError(f"{column} must be a label or a list of labels, got {labels!r}")
             for label in [labels] if isinstance(labels, str) else labels:
-                matches = [value for value in present if value == label or fnmatchcase(value, str(label))]
-                if not matches:
+                if not (matches := fitting(str(label), present)):
                     raise ConfigError(f"no frame has {column} {str(label)!r}; {hint(label, filter(None, present))}")
                 chosen.update(matches)
             mask &= np.isin(values, sorted(chosen))
@@ -398,6 +397,17 @@ def parsed_yaml(text: str, file: object) -> Any:
         return yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise DataError(not_yaml(file, error)) from error
+
+
+def fitting(label: str, names: Iterable[str]) -> list[str]:
+    """Return the names that a label chooses: itself if it is one of them, else those that it fits as a shell pattern.
+
+    Example:
+        >>> fitting("Tag [1]", ["Tag 1", "Tag [1]"]), fitting("Tag*", ["Tag 1", "Tag [1]"])
+        (['Tag [1]'], ['Tag 1', 'Tag [1]'])
+    """
+    names = list(names)
+    return [label] if label in names else [name for name in names if fnmatchcase(name, label)]
 
 
 def advice(names: Iterable[str]) -> str:

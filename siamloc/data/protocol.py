@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from fnmatch import fnmatchcase
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foundation.settings import Count, Natural, Positive, Rule, Settings, as_words
-from siamloc.data.frames import FrameTable, concatenate, in_capture_order
+from siamloc.data.frames import FrameTable, concatenate, fitting, in_capture_order
 from siamloc.errors import ConfigError, DataError
 
 Way = Annotated[float, Rule("a number above 0 and up to 1,000,000", lambda value: 0 < value <= 1e6)]
@@ -182,9 +181,10 @@ class Protocol(Settings):
 
     def without_role(self, table: FrameTable) -> list[str]:
         """Return the sequences of a table that no role names, in the order of the table."""
-        patterns = [pattern for name in ROLES for pattern in getattr(self, name).sequences or ()]
         names = dict.fromkeys(table.sequence.tolist())
-        return [name for name in names if not any(fnmatchcase(name, pattern) for pattern in patterns)]
+        labels = [label for role in ROLES for label in getattr(self, role).sequences or ()]
+        taken = {name for label in labels for name in fitting(label, names)}
+        return [name for name in names if name not in taken]
 
     def roles(self, table: FrameTable, *names: str) -> dict[str, FrameTable]:
         """Return the frames of several roles by name; each has at least one.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
@@ -16,6 +15,7 @@ from foundation.files import check_writable, real_path
 from foundation.settings import Text
 from siamloc import evaluation, maps
 from siamloc.data import FrameTable, PanoramaLibrary, Protocol, Role, read_occupancy
+from siamloc.data.frames import fitting
 from siamloc.data.reading import path_keys
 from siamloc.errors import ConfigError, hint
 from siamloc.evaluation import Result
@@ -305,9 +305,9 @@ class Evaluate(RunJob):
         if any(stored.get("data", {}).get(key) != queries.source.get(key) for key in places):
             return  # drives of the same names in other data
         for role in ("validation", *(["train"] if self.protocol.kind == "cross_run" else [])):
-            names = Protocol.of(stored.get("protocol", {})).plain()[role]["sequences"] or []
-            seen = [one for one in queries.rows_by("sequence") if any(fnmatchcase(one, name) for name in names)]
-            if seen:
+            labels = Protocol.of(stored.get("protocol", {})).plain()[role]["sequences"] or []
+            drives = queries.rows_by("sequence")
+            if seen := [name for label in labels for name in fitting(label, drives)]:
                 say(
                     f"note: the network of {run.folder} had sequence {seen[0]!r} in protocol.{role}: as a query it "
                     "gives better results than a new drive"

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from siamloc.data.frames import FrameTable, concatenate
 from siamloc.data.image_files import image_files
+from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError
 
 
@@ -143,6 +144,13 @@ def test_select_by_labels_and_patterns():
     with pytest.raises(ConfigError, match=r"^no frame has sequence 'two'; valid: one$"):
         frames.select(sequence="two")
     assert numbers(frames.select(room="")) == [0, 1]
+
+
+def test_a_label_that_frames_carry_is_no_pattern():
+    frames = FrameTable(path=["0.png", "1.png", "2.png"], sequence=["Tag [1]", "Tag 1", "Abend"])
+    assert numbers(frames.select(sequence="Tag [1]")) == [0]
+    assert numbers(frames.take([1, 2]).select(sequence="Tag [1]")) == [1]
+    assert Protocol.of({"map": {"sequences": ["Tag [1]"]}}).without_role(frames) == ["Tag 1", "Abend"]
 
 
 @given(st.lists(st.sampled_from("abc"), max_size=30), st.integers(1, 7))
