@@ -16,7 +16,7 @@ from foundation.calls import typed
 from foundation.files import check_version, plain, read_json, real_path, storage_errors, write_json
 from foundation.locks import locked
 from foundation.ordering import by_numbers
-from foundation.settings import checked, misfit
+from foundation.settings import as_words, checked, misfit
 from siamloc.errors import ConfigError, FormatError, OldFormatError
 from siamloc.results import versions
 
@@ -125,7 +125,9 @@ class Run:
                 return path
             if path.exists() or path.is_symlink():
                 raise FormatError(f"{path} is not a regular file: train again, or put the checkpoint itself there")
-        raise ConfigError(f"{self.folder} holds no checkpoint: train it first with `siamloc train run={self.folder}`")
+        raise ConfigError(
+            f"{self.folder} holds no checkpoint: train it first with `siamloc train {as_words({'run': self.folder})}`"
+        )
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -345,7 +347,7 @@ def newest_run(*, trained: bool = True) -> Run:
 def suggested_run(otherwise: str) -> str:
     """Return the newest run as a suggestion for the end of an error message; without runs, another suggestion."""
     try:
-        return f"give run=FOLDER, such as run={newest_run().folder}, the newest one"
+        return f"give run=FOLDER, such as {as_words({'run': newest_run().folder})}, the newest one"
     except ConfigError:
         return otherwise
 

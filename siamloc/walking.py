@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -13,7 +12,7 @@ import numpy as np
 
 from foundation.calls import OF_FIELDS, takes
 from foundation.files import read_json, write_json, write_text
-from foundation.settings import Positive, Rule, Settings, Text
+from foundation.settings import Positive, Rule, Settings, Text, as_words
 from siamloc import evaluation, maps, runtime
 from siamloc.data import (
     AutoRing,
@@ -249,7 +248,7 @@ def walk(
     write_json(folder / "survey.json", {**read_json(folder / "survey.json"), "walk": lines})
     report = write_report(folder, folder / "report.html")
     say(f"report: {report}, with the plan in {folder / 'survey.png'}")
-    say(f"next: {shlex.join(['siamloc', 'live', f'run={folder}', 'images=[camera:0]'])}")
+    say(f"next: siamloc live {as_words({'run': folder, 'images': ['camera:0']})}")
     return Walked(found, known, errors, bundle, report)
 
 

@@ -12,9 +12,9 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from foundation.settings import merged
+from foundation.settings import merged, quoted, unquoted
 from siamloc.cli.help import job_of
-from siamloc.cli.overrides import flags_first, key_of, meant, only_of_others, quoted, together
+from siamloc.cli.overrides import flags_first, key_of, meant, only_of_others, together
 from siamloc.cli.words import values_of
 from siamloc.errors import ConfigError, DataError, SiamlocError, check_known, hint
 from siamloc.jobs.job import Given, Job, at, import_own
@@ -271,7 +271,7 @@ def _sweep(command: str, words: list[str]) -> list[str]:
     swept = {override.key_or_group for override in overrides if override.is_sweep_override()}
     fixed = [override.key_or_group for override in overrides if override.key_or_group not in swept]
     trains = command in ("train", "pretrain")
-    said = [word.partition("=")[2].strip("'\"") for word in words if word.startswith("run=") and "run" in fixed]
+    said = [unquoted(word.partition("=")[2]) for word in words if word.startswith("run=") and "run" in fixed]
     folder = said[0] if said and said[0] not in ("", "null") else "runs/sweep"
     settings = [
         f"hydra.sweep.dir={quoted(folder if trains else f'{folder}/multirun/{command}')}",

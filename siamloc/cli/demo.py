@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from shlex import quote
 
 from foundation.settings import Seed, Text, as_words
 from siamloc.errors import ConfigError
@@ -45,29 +45,29 @@ class Demo(Job):
                 f"{run.folder} holds a run already: replace it with overwrite=true, or choose another run="
             )
         check_folder(run, resume=False, overwrite=self.overwrite)  # before a minute of rendering
-        overwrite = ["overwrite=true"] if self.overwrite else []
-        mini = ["building=mini", f"seed={self.seed}", f"out={data}"]
+        overwrite = " overwrite=true" if self.overwrite else ""
+        mini = f"building=mini seed={self.seed} {as_words({'out': data})}"
         runs = "cloudy1,cloudy2,cloudy3,night1,night2,sunny1,sunny2"
-        _step(say, "simulate", [*mini, "camera=panorama", f"runs=[{runs}]", "spacing=0.2", *overwrite])
-        _step(say, "simulate", [*mini, "runs=[cloudy1,night1,sunny1]", "preview=true"])
-        here = [f"run={run.folder}"]
-        _step(say, "train", ["experiment=demo", f"data.root={data / 'mini'}", f"seed={self.seed}", *overwrite, *here])
+        _step(say, "simulate", f"{mini} camera=panorama runs=[{runs}] spacing=0.2{overwrite}")
+        _step(say, "simulate", f"{mini} runs=[cloudy1,night1,sunny1] preview=true")
+        root, here = as_words({"data.root": data / "mini"}), as_words({"run": run.folder})
+        _step(say, "train", f"experiment=demo {root} seed={self.seed}{overwrite} {here}")
         _step(say, "map", here)
-        measured = ["task.radii=[0.5]", "task.baselines=[hog,thumbnail,untrained]", "task.error_model=true"]
-        _step(say, "evaluate", [*here, *measured])
-        _step(say, "export", [*here, "thumbnails=true"])
+        measured = "task.radii=[0.5] task.baselines=[hog,thumbnail,untrained] task.error_model=true"
+        _step(say, "evaluate", f"{here} {measured}")
+        _step(say, "export", f"{here} thumbnails=true")
         photograph = image_files(next((data / "mini").glob("part_*/*night2/omni_cam")))[0]
-        _step(say, "localize", [*here, f"images=['{photograph}']"])
+        _step(say, "localize", as_words({"run": run.folder, "images": [photograph]}))
         _step(say, "report", here)
         say(f"\nThe run is in {run.folder}, the building in {data / 'mini'} with images in preview; curves for")
-        say(f"tensorboard --logdir {quote(str(run.tensorboard))}; {time.monotonic() - begin:.0f} s in all.")
-        drive = as_words({"run": str(run.folder), "images": [str(photograph.parent)]})
+        say(f"tensorboard --logdir {shlex.quote(str(run.tensorboard))}; {time.monotonic() - begin:.0f} s in all.")
+        drive = as_words({"run": run.folder, "images": [photograph.parent]})
         say(f"To watch a drive at night: siamloc live {drive}")
 
 
-def _step(say: Say, command: str, words: list[str]) -> None:
+def _step(say: Say, command: str, words: str) -> None:
     """Show a command as a user would type it, and run it."""
     from siamloc.cli.compose import composed
 
-    say(f"\n$ siamloc {command} {' '.join(words)}")
-    composed(command, words).run(say)
+    say(f"\n$ siamloc {command} {words}")
+    composed(command, shlex.split(words)).run(say)

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from analytic.descriptors.fused import SIGN, distinct
-from foundation.settings import shortened
+from foundation.settings import quoted, shortened, unquoted
 from siamloc.cli.help import job_of
 from siamloc.errors import ConfigError
 from siamloc.jobs.job import Job
@@ -101,7 +101,7 @@ def _takes_data_of_a_run(words: list[str], kind: type[Job]) -> bool:
     if "data" not in kind.GROUPS or "run" not in said or not ("descriptor" in kind.GROUPS or resumes):
         return False
     networks = [name for key in ("descriptor", "descriptor.run") for name in said.get(key, "").split(",")]
-    folders = [Path(name.strip("'\"") or "nowhere") for name in (said["run"], *networks)]
+    folders = [Path(unquoted(name) or "nowhere") for name in (said["run"], *networks)]
     return any(Run(one).record.is_file() or runs_in(one) or any(one.glob("evaluation/*/map.npz")) for one in folders)
 
 
@@ -145,7 +145,7 @@ def _as_meant(word: str, kind: type[Job]) -> str:
         word = f"{key}={value}"
     if "." in key and key.replace(".", "/") in kind.GROUPS:
         return f"{key.replace('.', '/')}={value}"
-    folders = [folder.strip("'\"") for folder in value.split(",")]
+    folders = [unquoted(folder) for folder in value.split(",")]
     if key != "descriptor" or not all((Path(folder) / "run.json").is_file() for folder in folders):
         return word
     return f"descriptor.run={','.join(map(quoted, folders))}"
@@ -165,8 +165,3 @@ def flags_first(words: list[str]) -> list[str]:
 def key_of(word: str) -> str:
     """Return the key of a word, without the signs that Hydra takes before it."""
     return word.partition("=")[0].lstrip("+~")
-
-
-def quoted(text: object) -> str:
-    """Quote a text so that Hydra's grammar takes it as one value, whatever characters it holds."""
-    return "'" + str(text).replace("\\", "\\\\").replace("'", "\\'") + "'"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from foundation.errors import known
-from foundation.settings import fields_of
+from foundation.settings import fields_of, unquoted
 from siamloc.errors import ConfigError
 from siamloc.jobs.job import Job
 
@@ -54,7 +54,7 @@ def _items(word: str, inside: str) -> Iterator[str]:
 def _value(text: str, texts: bool) -> Any:
     text = text.strip()
     if len(text) > 1 and text[0] == text[-1] and text[0] in "'\"":
-        return re.sub(r"\\(.)", r"\1", text[1:-1])
+        return unquoted(text)
     if text in ("null", "None"):
         return None
     if texts:  # a folder may be called 2024

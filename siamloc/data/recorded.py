@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from foundation.settings import Positive, shortened
+from foundation.settings import Positive, as_words, shortened
 from siamloc.data.frames import BAGS, ODOMETRY, TILT, FrameTable, advice, in_capture_order, placed
 from siamloc.data.image_files import image_files
 from siamloc.data.names import lighting_in
@@ -166,9 +166,10 @@ def images_of(
     if not files:
         inside = sorted(path.name for path in folder.iterdir())
         if bag := next((name for name in inside if name.lower().endswith(BAGS)), None):
+            command = f"siamloc prepare {as_words({'recording.file': folder / bag})}"
             raise DataError(
                 f"{folder} holds no images, and no metadata.yaml as the folder of a ROS 2 bag does: "
-                f"`siamloc prepare {folder / bag}` reads the file of the bag"
+                f"`{command}` reads the file of the bag"
             )
         what = shortened(", ".join(inside)) or "nothing"
         raise DataError(f"{folder} holds no images; it holds: {what}{advice(inside)}{_deeper(folder)}")

@@ -12,7 +12,7 @@ from urllib.parse import quote
 from analytic import Descriptor
 from analytic.descriptors.fused import SIGN
 from foundation.files import check_writable, real_path
-from foundation.settings import Text
+from foundation.settings import Text, as_words
 from siamloc import evaluation, maps
 from siamloc.data import FrameTable, PanoramaLibrary, Protocol, Role, read_occupancy
 from siamloc.data.frames import fitting
@@ -383,8 +383,8 @@ def _saved_maps(named: Sequence[str], label: str, described: Descriptor) -> list
             others = [other.parent.name for other in sorted(path.glob("evaluation/*/map.npz"))]
             held = f"it holds one by {' and one by '.join(others)}; choose that descriptor, or " if others else ""
             raise ConfigError(
-                f"{path} holds no map by {label}: {held}make it with `siamloc map run={path}`, with the same "
-                "descriptor and data"
+                f"{path} holds no map by {label}: {held}make it with `siamloc map {as_words({'run': path})}`, with the "
+                "same descriptor and data"
             )
         try:
             loaded.append(VisualMap.load(file, described))

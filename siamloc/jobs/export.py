@@ -96,7 +96,7 @@ class Export(RunJob):
             for line in self._further_steps(known, further["errors"], further["refinement"]):
                 say(line)
             where = {"run": str(run.folder)} if folder == run.bundle else {"bundle": str(folder)}
-            say(f"next: siamloc localize {as_words({**where, 'images': '[photo.jpeg]'})}")
+            say(f"next: siamloc localize {as_words({**where, 'images': ['photo.jpeg']})}")
         return bundle
 
     def _refinement(self, path: Path, known: VisualMap) -> Refinement | None:
@@ -144,21 +144,22 @@ class Export(RunJob):
 
         If drives are missing, or the data cannot be read, it has names to be filled in.
         """
-        protocol, more = self.protocol, {} if refine is None else {"task.refine": refine}
+        protocol = self.protocol
+        more: dict[str, Any] = {} if refine is None else {"task.refine": refine}
         folder = self.here.evaluation(self.descriptor.title)
         try:
             if (folder / "results.json").is_file():
                 before = Protocol.of(read_results(folder).get("config", {}).get("protocol") or {})
                 protocol = replace(before, train=protocol.train, map=protocol.map)
                 if measured_otherwise(folder, protocol, self.data.plain(), only_map=False):
-                    more["overwrite"] = "true"
+                    more["overwrite"] = True
             frames = self.data.read()
             others = frames.take(frames.has_position & ~np.isin(frames.sequence, known.frames.sequence))
             words = self.for_evaluation(protocol, lambda: others, "query", "validation")
         except SiamlocError:
             words = None
         if words is None:
-            words = {f"protocol.{role}.sequences": "[NAME]" for role in ("validation", "query")}
+            words = {f"protocol.{role}.sequences": ["NAME"] for role in ("validation", "query")}
         return f"siamloc evaluate {named} {as_words({**words, 'task.error_model': True, **more})}"
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar, Literal
 
-from foundation.settings import Count, Positive, Text
+from foundation.settings import Count, Positive, Text, as_words
 from siamloc.data.archives import ADDRESS
 from siamloc.data.fetching import Fetched, fetch
 from siamloc.data.protocol import ROLES, Protocol
@@ -68,6 +67,6 @@ class Fetch(Job):
         if not found.missing and not self.sequences:
             known = {name: Protocol.of(option("protocol", name).values) for name in choices("protocol")}
             if name := next((name for name, protocol in known.items() if protocol == self.protocol), None):
-                root = shlex.quote(f"data.root={found.folder}")
+                root = as_words({"data.root": found.folder})
                 say(f"next: siamloc train data=cold {root} protocol={name} experiment=modern")
         return found

@@ -92,7 +92,8 @@ class MapFrames(RunJob):
             label = titles["descriptor"]
             folder = values["run"] or Path("runs") / (values["data"].get("name") or "data") / label
             if not (path := map_places(Run(Path(str(folder))), titles)[0]).is_file():
-                raise ConfigError(f"no map yet in {path}: `siamloc map run={folder} descriptor={label}` makes one")
+                command = f"siamloc map {as_words({'run': folder, 'descriptor': label})}"
+                raise ConfigError(f"no map yet in {path}: `{command}` makes one")
         return values
 
     def run(self, say: Say = quiet) -> VisualMap:
@@ -141,8 +142,10 @@ class MapFrames(RunJob):
         over = {one: layer for one, layer in stored.items() if layer.map_digest == known.digest}
         if self.build.name != "none":
             if (built := over.pop(folder, None)) is None:
-                command = f"siamloc map run={self.here.folder} descriptor={label} build={self.build.title}"
-                raise ConfigError(f"{folder} has no nodes over the map {path}: `{command}` makes map and nodes")
+                words = as_words({"run": self.here.folder, "descriptor": label, "build": self.build.title})
+                raise ConfigError(
+                    f"{folder} has no nodes over the map {path}: `siamloc map {words}` makes map and nodes"
+                )
             if (folder / "mapper.npz").is_file():
                 mapper = IncrementalMapper.load(folder / "mapper.npz", known.descriptor, extend=True)
                 built = replace(built, mapper=mapper)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -94,10 +93,11 @@ class Prepare(DataJob):
             if self.recording.out is None:
                 usual, given = RecordingKeys().plain(), self.recording.plain()
                 chosen = {key: value for key, value in given.items() if key != "file" and value != usual[key]}
-                chosen = {**found.proposal, **chosen, "out": f"{self.recording.file.stem}_frames"}
+                chosen = {"file": self.recording.file, **found.proposal, **chosen}
+                chosen |= {"out": f"{self.recording.file.stem}_frames"}
                 words = as_words({f"recording.{key}": value for key, value in chosen.items()})
                 camera = "" if self.preprocessing.camera is None else f" {self.preprocessing.words()}"
-                say(f"next: siamloc prepare {shlex.quote(str(self.recording.file))} {words}{camera}")
+                say(f"next: siamloc prepare {words}{camera}")
                 return found
             extract(self.recording.file, self.recording.out, second=second, settings=self.recording)
         frames = self.data.read()

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from analytic import DESCRIPTORS
-from foundation.settings import defaults_of, fields_of
+from foundation.settings import as_words, defaults_of, fields_of
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, OldFormatError
 from siamloc.jobs.choices import OF_A_RUN, Build, DescriptorChoice, Model, names_in, parameters_of
@@ -165,7 +165,7 @@ def _hint_at_maps(folder: Path) -> None:
     if made:
         raise ConfigError(
             f"{folder} holds no trained network, only maps by {', '.join(made)}: choose the descriptor, such as "
-            f"descriptor={made[0].partition('-')[0]}, or train with `siamloc train run={folder}`"
+            f"descriptor={made[0].partition('-')[0]}, or train with `siamloc train {as_words({'run': folder})}`"
         )
 
 

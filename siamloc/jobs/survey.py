@@ -74,7 +74,7 @@ class SurveyDrives(DataJob):
         save_survey(found, self.out, self.plain())
         shipped = self.network == "pretrained"
         by = {"descriptor": "pretrained"} if shipped else {"run": self.network}
-        given = by | {"data.manifest": str(Path(self.out) / "surveyed.csv"), "protocol.map.sequences": '["*"]'}
+        given = by | {"data.manifest": str(Path(self.out) / "surveyed.csv"), "protocol.map.sequences": ["*"]}
         plain = shipped and self.preprocessing.camera is None  # a run has a camera of its own
         camera = "" if plain else f" {self.preprocessing.words()}"
         say(f"next: siamloc map {as_words(given)}{camera}")

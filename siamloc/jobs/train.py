@@ -229,5 +229,5 @@ class Pretrain(_Training):
         network = models.build(**self.model.arguments(), image_size=self.image_size, seed=self.seed)
         run = pretraining.pretrain(network, views=self.views, **self.common("pretrained"))
         if process_rank() == 0:
-            say(f"next: siamloc train experiment=fine_tuning model.branch.weights={run.weights}")
+            say(f"next: siamloc train experiment=fine_tuning {as_words({'model.branch.weights': run.weights})}")
         return run

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from foundation.columns import spread_rows
+from foundation.settings import as_words
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSettings
@@ -180,7 +181,8 @@ class Adapting:
             check = self._checked(network, images, change, _weights(load(run, which="last", network=network)))
         except KeyboardInterrupt as error:
             network.load_state_dict(self.before)
-            text = f"stopped during the check, which has kept nothing: go on with resume=true, run={run.folder}"
+            named = as_words({"run": run.folder})
+            text = f"stopped during the check, which has kept nothing: go on with resume=true, {named}"
             print(text, file=sys.stderr, flush=True)
             raise KeyboardInterrupt(text) from error
         if not writes:

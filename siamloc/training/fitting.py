@@ -19,6 +19,7 @@ from augment.base import on_host
 from foundation.calls import OF_FIELDS, takes
 from foundation.files import plain
 from foundation.locks import alone
+from foundation.settings import as_words
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSettings
@@ -376,7 +377,8 @@ def _train(trainer: Trainer, module: NetworkModule, data: EpochDataModule, run: 
             raise
         done, more = progress(run)
         within = f" and {more} of {trainer.num_training_batches} steps" if more else ""
-        text = f"stopped after {done} of {trainer.max_epochs} epochs{within}: go on with resume=true, run={run.folder}"
+        named = as_words({"run": run.folder})
+        text = f"stopped after {done} of {trainer.max_epochs} epochs{within}: go on with resume=true, {named}"
         print(text, file=sys.stderr, flush=True)
         raise KeyboardInterrupt(text) from error
     except Exception:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from foundation.files import real_path
 from foundation.ordering import by_numbers
+from foundation.settings import as_words
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.report.page.surveyed import Surveyed, read_survey
 from siamloc.results import FINEST, Columns, read_results, read_rows, truth
@@ -181,7 +182,9 @@ def _gather(folder: Path, title: str) -> RunFiles:
     within = run_with(real_path(folder))
     run, top = (Run(folder), folder / "evaluation") if within is None else (within, folder)
     if not (found := _results(folder, top)):
-        raise ConfigError(f"{folder} holds no evaluation: measure it first with `siamloc evaluate run={folder}`")
+        raise ConfigError(
+            f"{folder} holds no evaluation: measure it first with `siamloc evaluate {as_words({'run': folder})}`"
+        )
     folders = sorted((path.parent for path in found), key=lambda path: (path.name != "network", by_numbers(path)))
     own = read_survey(run.folder)
     evaluations = [_evaluation(one, own is not None) for one in folders]

@@ -1,9 +1,13 @@
 import re
 import shlex
 import shutil
+from pathlib import Path
 
 import pytest
+from hypothesis import assume, example, given
+from hypothesis import strategies as st
 
+from foundation.settings import as_words
 from siamloc.cli.completion import candidates
 from siamloc.cli.compose import composed
 from siamloc.data import Protocol
@@ -208,3 +212,22 @@ def test_options_of_ones_own_are_files_in_a_folder_as_the_guide_says(tmp_path, m
     monkeypatch.chdir(tmp_path)
     done(*shlex.split(command), "data.manifest=x", "--cfg", "job")
     assert "- monday" in capsys.readouterr().out
+
+
+@given(st.text("ab1 \\\"'${}[](),:=é가\u0301", min_size=1))
+@example("läufe/Lauf 1, größe +5% (ü)")
+@example("\\${x} #;=&!|<>^`~")
+@example("null")
+@example("None")
+@example("True")
+@example("1e3")
+@example("-.5")
+@example("-a")
+@example("[a]")
+@example("C:\\läufe\\")
+def test_proposed_words_are_read_as_they_were_meant(name):
+    assume(name.strip())
+    localize = composed("localize", shlex.split(as_words({"images": [name, "b"], "run": name})))
+    assert (localize.folder, list(localize.images)) == (Path(name), [name, "b"])
+    compare = composed("compare", shlex.split(as_words({"runs": [name, "b"], "out": name})))
+    assert (compare.out, compare.runs) == (name, (name, "b"))

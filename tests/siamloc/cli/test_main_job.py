@@ -192,7 +192,7 @@ def test_the_commands_that_an_export_proposes_work_as_printed(data, tmp_path, ca
     done("export", *own)
     said = capsys.readouterr().out
     assert "expected errors" not in said
-    assert "'images=[photo.jpeg]'" in said
+    assert """'images=["photo.jpeg"]'""" in said
 
 
 def test_commands_for_a_network_of_ones_own_name_it_as_printed(data, tmp_path, capsys, monkeypatch):
