@@ -98,8 +98,9 @@ def _chosen(by: str | None, known: Sequence[str], parts: Container[str]) -> str:
     """Return the full name of the measure to rank by."""
     if by is None:
         by = next((name for name in _CHOSEN_BY if name in known), None)
-    if by == "recall@1":
-        by = next((name for name in known if name.startswith("recall@1_")), by)
+    first = [name for name in known if name.startswith("recall@1_")][:1]
+    if by == "recall@1" and first:
+        by = first[0]
     if by is not None and by in known:
         return by
     short = sorted(name for name in known if name.partition(".")[0] not in parts)
@@ -110,7 +111,7 @@ def _chosen(by: str | None, known: Sequence[str], parts: Container[str]) -> str:
         )
     placed = by.partition(".")[0] in parts
     near = get_close_matches(by, known, 5, 0.5) if placed else []
-    raise ConfigError(f"no evaluation has the measure {by!r}: {hint(by, near or ['recall@1', *short])}")
+    raise ConfigError(f"no evaluation has the measure {by!r}: {hint(by, near or [*['recall@1'] * len(first), *short])}")
 
 
 def _measures(path: Path, results: Mapping[str, Any]) -> dict[str, float]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 from foundation.settings import Rule, Text, as_words
 from siamloc.comparison import files_named
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import ConfigError, DataError, SiamlocError
 from siamloc.jobs.job import Job, Say, quiet
 from siamloc.jobs.sweep import sweep_suffix
 from siamloc.runs import Run, newest_run
@@ -91,8 +92,9 @@ class Compare(Job):
         say(found.table())
         say(found.verdict())
         if not measured and files_named(folders, "results.json"):
-            words = as_words({"runs": folders, "by": "error"})
-            say(f"to compare the evaluations of these runs: siamloc compare {words}")
+            with suppress(SiamlocError):  # which measured nothing that all evaluations have
+                words = as_words({"runs": folders, "by": evaluation.compare(folders).by})
+                say(f"to compare the evaluations of these runs: siamloc compare {words}")
         name = "evaluations.csv" if measured else "trainings.csv"
         inside = Path(folders) / name if isinstance(folders, str) else None
         out = inside if self.out is None else Path(self.out)

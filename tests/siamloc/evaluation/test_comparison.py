@@ -11,6 +11,8 @@ import pytest
 import siamloc
 from siamloc.errors import ConfigError, FormatError
 from siamloc.evaluation import compare
+from siamloc.jobs import Compare
+from siamloc.runs import Run
 
 
 @pytest.fixture(scope="module")
@@ -127,3 +129,16 @@ def test_mistakes_are_named(measured, tmp_path):
     replace(measured, parts={"compact": {"queries": 3}}).save(tmp_path / "c", pictures=False)
     with pytest.raises(ConfigError, match=r"by=compact\.queries"):
         compare(tmp_path / "c")
+
+
+def test_only_measures_that_were_measured_are_proposed(measured, tmp_path):
+    run = Run(tmp_path / "run")
+    run.start({}, [])
+    run.metrics.write_text("epoch,train/loss\n0,1.0\n")
+    parts = {"room_retrieval": {"overall": {"accuracy": 0.5}}}
+    replace(measured, parts=parts).save(run.evaluation("network"), pictures=False)
+    with pytest.raises(ConfigError, match=r"no evaluation has the measure 'recall@1': valid: .*room"):
+        compare(run.folder, by="recall@1")
+    said = list[str]()
+    Compare(runs=str(run.folder), by="train/loss").run(said.append)
+    assert f"to compare the evaluations of these runs: siamloc compare runs={run.folder} by=room" in said
