@@ -60,6 +60,13 @@ def test_a_closed_output_is_no_error():
     assert (ended.returncode, ended.stderr) == (0, "")
 
 
+def test_letters_that_an_output_lacks_are_escaped():
+    code = "import siamloc.cli as c, siamloc.__main__ as it; c._dispatch = lambda _: print('가 ü') or 0; it.entry()"
+    environment = {**os.environ, "PYTHONIOENCODING": "cp1252", "PYTHONUTF8": "0"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, env=environment)
+    assert (done.returncode, done.stdout.split(), done.stderr) == (0, [rb"\uac00", b"\xfc"], b"")
+
+
 def test_mistyped_commands_are_answered_with_the_nearest(capsys):
     assert "did you mean 'train'" in refused(capsys, "trian")
     assert "did you mean 'bash'" in refused(capsys, "completion", "bush")
