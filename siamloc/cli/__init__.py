@@ -13,6 +13,7 @@ from contextlib import suppress
 from functools import partial
 
 from foundation.extras import lacking
+from foundation.settings import quoted, unquoted
 from siamloc.cli.help import COMMANDS, command_help, job_of, overview
 from siamloc.cli.words import values_of
 from siamloc.errors import ConfigError, SiamlocError, hint
@@ -83,7 +84,7 @@ def _dispatch(words: list[str]) -> int:
         alone = [word for word in overrides if not word.startswith("-") and "=" not in word]
         if len(alone) > 1:
             raise ConfigError(f"siamloc {command} takes one {key}, got {' '.join(alone)}: run it once for each")
-        overrides = [f"{key}={word}" if word in alone else word for word in overrides]
+        overrides = [f"{key}={quoted(unquoted(word))}" if word in alone else word for word in overrides]
     run(command, overrides)
     return 0
 

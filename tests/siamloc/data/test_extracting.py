@@ -506,9 +506,9 @@ def test_the_command_looks_first_and_then_extracts(bags, tmp_path, monkeypatch, 
     assert not list(tmp_path.iterdir())
     command = shown.splitlines()[-1].removeprefix("next: siamloc ").split()
     assert command[-1] == "recording.out=night_ros1_frames"
-    spaced = shutil.copy(bags["ros1"], tmp_path / "my drive to Köln.bag")
+    spaced = shutil.copy(bags["ros1"], tmp_path / "my drive (1), it's to Köln.bag")
     assert main(["prepare", str(spaced)]) == 0
-    assert shlex.split(capsys.readouterr().out.splitlines()[-1])[3] == f"recording.file={spaced}"
+    assert shlex.split(capsys.readouterr().out.splitlines()[-1])[3] == f'recording.file="{spaced}"'
     spaced.unlink()
     assert main(["prepare", str(bags["ros1"]), "unwrap=polar", "unwrap.inner=3"]) == 0
     assert capsys.readouterr().out.splitlines()[-1].endswith(" unwrap=polar unwrap.inner=3")
