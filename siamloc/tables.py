@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 import unicodedata
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -171,9 +172,16 @@ def width_of(text: str) -> int:
     return len(text) + sum(unicodedata.east_asian_width(letter) in ("W", "F") for letter in text)
 
 
-def short_name(name: str) -> str:
-    """Return the name of a room as a picture shows it: very long ones are cut in the middle."""
-    return shortened(name, _LONGEST_NAME)
+def short_names(names: Iterable[str]) -> list[str]:
+    """Return the names of all rooms as a picture shows them: very long ones are cut, unless they differ in the middle.
+
+    Example:
+        >>> short_names(["the corridor on the east side behind the stairs", "lab"])
+        ['the corridor on t ... side behind the stairs', 'lab']
+    """
+    whole = list(names)
+    cut = [shortened(name, _LONGEST_NAME) for name in whole]
+    return cut if len(set(cut)) == len(set(whole)) else whole
 
 
 def number(value: float | None, digits: int = 3) -> str:

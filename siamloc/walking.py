@@ -110,8 +110,7 @@ def walk(
     """Make a robot that knows where it is from one recording of a drive, without true poses.
 
     Finds the camera, chooses key frames, surveys them, makes a map, learns the expected errors on key frames that are
-    left out of it, and writes the robot's bundle and a report. Most decisions are lines of what it
-    says.
+    left out of it, and writes the robot's bundle and a report. Most decisions are lines of what it says.
 
     Args:
         file: a video, a ROS bag, or a folder of pictures, with times in their names or in capture order. With odometry

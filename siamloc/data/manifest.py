@@ -162,9 +162,10 @@ def _frame(file: Path, line: int, names: dict[str, int], cells: list[str]) -> di
                 frame[name] = math.inf
             if abs(frame[name]) > largest or "_" in cell:
                 kind = {"time": "of seconds", "theta": "of rad"}.get(name, f"up to {largest:.3g}")
+                point = "write it with a decimal point, or " * ("," in cell)
                 raise DataError(
-                    f"{file}, line {line}, column {name!r}: {cell!r} is not a number {kind}; write it with a "
-                    "decimal point, or leave the cell empty where the value is unknown"
+                    f"{file}, line {line}, column {name!r}: {cell!r} is not a number {kind}; {point}leave the cell "
+                    "empty where the value is unknown"
                 )
     turned = [frame.pop(name, math.nan) for name in _QUATERNION]
     if not any(map(math.isnan, turned)):

@@ -119,16 +119,17 @@ class PlaceSampler:
             "reach": "places near them are the same place again",
         }
         wanted = {"radius": settings.images > 1 and settings.radius > 0, "reach": settings.near > 0}
-        lonely = {key: int((self._nearest > getattr(settings, key)).sum()) for key in instead if wanted[key]}
-        half = np.median(self._nearest)
-        return [
-            f"{count} of {len(self.frames)} frames have no other one within pairs.{key}={getattr(settings, key):g} "
-            f"{unit}: {instead[key]}; a larger pairs.{key} finds some"
-            + f" (half of the frames have one within {half:.3g} {unit})"
-            * bool(half > getattr(settings, key))
-            for key, count in lonely.items()
-            if count
-        ]
+        half, notes = float(np.median(self._nearest)), []
+        for key in (key for key in instead if wanted[key]):
+            within = getattr(settings, key)
+            lonely = self._nearest[self._nearest > within]
+            if not len(lonely):
+                continue
+            note = f"{len(lonely)} of {len(self.frames)} frames have no other one within pairs.{key}={within:g} {unit}"
+            more = f"; a larger pairs.{key} finds some" if np.isfinite(lonely).any() else ""
+            by = f" (half of the frames have one within {half:.3g} {unit})" if within < half < np.inf else ""
+            notes.append(f"{note}: {instead[key]}{more}{by}")
+        return notes
 
     def check_processes(self, processes: int) -> None:
         """Raise ConfigError unless there are frames for the places of a batch: `places` for each of `processes`."""

@@ -168,8 +168,7 @@ def _settings(
     """Return the settings of each evaluation by key, and the keys whose values differ, swept settings first.
 
     If sweeps record what they swept, or runs what they were trained with, only those settings count: the rest follows.
-    Otherwise it is the settings in which the evaluations differ that have the measure to rank by: another task has
-    other settings.
+    Otherwise it is the settings that all evaluations with the measure to rank by have, and in which these differ.
     """
     swept = [dict(one.get("swept") or {}) for one in results]
     trained = [_of_training(path) for path in paths]
@@ -182,10 +181,11 @@ def _settings(
     for training, found, said in zip(trained, own, swept, strict=True):
         of_run = {key: training[key] for key in of_runs if key in training}
         settings.append({**found, **of_run, **{key: value for key, value in said.items() if value is not None}})
-    keys = differing(settings, dict.fromkeys([*first, *_ALWAYS, *of_runs]))
+    compared = [found for found, has in zip(settings, ranked, strict=True) if has]
+    keys = [*differing(settings, first), *differing(compared, _ALWAYS), *differing(settings, of_runs)]
     if not all(swept) and not of_runs:
-        further = differing([found for found, has in zip(settings, ranked, strict=True) if has])
-        keys = list(dict.fromkeys([*keys, *further]))
+        keys += [key for key in differing(compared) if all(key in found for found in compared)]
+    keys = list(dict.fromkeys(keys))
     for group in ("descriptor", "build"):
         if group in keys:  # each descriptor, and each way to build nodes, has parameters of its own
             keys = [key for key in keys if key in first or not key.startswith(f"{group}.")]

@@ -74,7 +74,7 @@ def hierarchical(
 ) -> Result:
     """Locate queries by first ranking the nodes of a coarse layer and then searching the frames in the best of them.
 
-    For comparison, the search in the whole map and the search in the true node are measured on the same queries.
+    For comparison, the search in the whole map and the search in the true nodes are measured on the same queries.
 
     Args:
         known: the map; all its frames have positions.
@@ -145,7 +145,7 @@ def evaluate_hierarchical(
     see `true_nodes` (-1 for none); `nodes_tried`, numbers in one string, the best first; `coarse_correct`, whether a
     true node was tried (frames in no node are always searched, so a query without a true node counts as correct);
     `frames_compared` and `comparisons`, which also counts the comparisons with the coarse layer; `error_perfect_coarse`
-    and `error_absolute`, the errors of a search for the same query in the true node alone and in the whole map. The
+    and `error_absolute`, the errors of a search for the same query in the true nodes alone and in the whole map. The
     table "map" has the `node` of each frame, the table "nodes" a row for each node.
 
     Args:
@@ -263,8 +263,8 @@ def _run(
     """Search for all queries, batch by batch if the descriptions are large.
 
     Returns:
-        The results, and for the queries with positions the results of a search in the true node alone; None if no query
-        has a position.
+        The results, and for the queries with positions the results of a search in the true nodes alone; None if no
+        query has a position.
     """
     known, queries = session.known, session.queries
     scored, rankings = queries.has_position, None

@@ -139,8 +139,8 @@ class Session:
         self.baselines = _named(baselines, images.circular)
         self.skipped: dict[str, str] = {}
         known.check_images(images.preprocessing.parameters(), images.preprocessing.size)
-        for what, labels in (("lighting", self.queries.lighting), ("room", self.queries.place)):
-            if taken := RESERVED.intersection(labels.tolist()):
+        for what in ("lighting", "room"):
+            if taken := RESERVED.intersection(getattr(self.queries, what).tolist()):
                 raise DataError(f"queries have the {what} {min(taken)!r}, which names a row of the tables: rename it")
         tables = known.frames, self.queries, self.validation
         check_units(one for one in tables if one is not None and one.has_position.any())

@@ -14,9 +14,12 @@ from foundation.settings import as_words
 from siamloc.data import AutoRing, PanoramaLibrary, check, contents, extract, find_mounting, summary
 from siamloc.data.extracting import MANIFEST, Contents, Extraction, writes_camera
 from siamloc.data.image_files import read_image
+from siamloc.data.reading import DataSettings
 from siamloc.data.ring import draw_ring
 from siamloc.jobs.job import Given, Say, quiet
 from siamloc.jobs.run_job import DataJob
+
+_PANORAMAS = {"data.image_size": list(DataSettings.image_size), "data.circular": DataSettings.circular}
 
 
 @dataclass(frozen=True)
@@ -95,7 +98,9 @@ class Prepare(DataJob):
                 chosen = {key: value for key, value in given.items() if key != "file" and value != usual[key]}
                 chosen = {"file": self.recording.file, **found.proposal, **chosen}
                 chosen |= {"out": f"{self.recording.file.stem}_frames"}
-                words = as_words({f"recording.{key}": value for key, value in chosen.items()})
+                panoramas = {"data.image_size": list(self.data.image_size), "data.circular": self.data.circular}
+                kept = {key: value for key, value in panoramas.items() if value != _PANORAMAS[key]}
+                words = as_words({**{f"recording.{key}": value for key, value in chosen.items()}, **kept})
                 camera = "" if self.preprocessing.camera is None else f" {self.preprocessing.words()}"
                 say(f"next: siamloc prepare {words}{camera}")
                 return found

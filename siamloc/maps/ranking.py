@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from foundation.columns import Rows
 from siamloc.maps.coarse import UNASSIGNED
-from siamloc.maps.search import Retrieval, VectorIndex, slices
+from siamloc.maps.search import Retrieval, VectorIndex, checked, slices
 from siamloc.models.room_classifier import RoomClassifier
 
 _COUNTS = 1 << 22  # votes counted at once
@@ -99,12 +99,14 @@ def rank_by_position(query_xy: ArrayLike, map_xy: ArrayLike, labels: ArrayLike) 
     Raises:
         DataError: a position that is not finite.
     """
-    index, present = VectorIndex(map_xy), np.unique(labels)
-    rows = [np.flatnonzero(np.asarray(labels) == node) for node in present]
-    apart = np.hstack([index.search(query_xy, within=inside).distances for inside in rows])
-    near = apart <= apart.min(axis=1, keepdims=True) + 1e-9
-    order = np.argsort(~near, axis=1, kind="stable")[:, : near.sum(axis=1).max(initial=0)]
-    nodes = np.take_along_axis(np.where(near, present, UNASSIGNED), order, axis=1)
+    from scipy.spatial import cKDTree
+
+    queries, tree = checked(query_xy, "query")[0], cKDTree(checked(map_xy, "map")[0])
+    near = tree.query_ball_point(queries, tree.query(queries)[0] + 1e-9)
+    found = [np.unique(np.asarray(labels)[rows]) for rows in near]
+    nodes = np.full((len(found), max(map(len, found), default=1)), UNASSIGNED)
+    for row, own in zip(nodes, found, strict=True):
+        row[: len(own)] = own
     return NodeRanking(nodes, np.zeros(len(nodes), dtype=np.int64))
 
 

@@ -28,7 +28,7 @@ from siamloc.errors import ConfigError, DataError, SiamlocError
 from siamloc.runtime.localizer import Localizer
 from siamloc.runtime.stream import CAMERA, Located, locate_all, named
 from siamloc.runtime.thumbnails import jpeg
-from siamloc.tables import short_name
+from siamloc.tables import short_names
 
 _TRACK = 2000  # number of poses of the path so far that a page gets
 _DOTS = 4000  # number of map frames that it draws
@@ -287,9 +287,7 @@ class Live:
         x, y = frames.xy[rows].round(3).T
         if self._plan is not None:
             about["plan"] = {**self._plan.placed(), "around": self._plan.around(frames.xy).T}
-        return web.json_response(
-            plain({**about, "rooms": list(map(short_name, rooms.tolist())), "room": room, "x": x, "y": y})
-        )
+        return web.json_response(plain({**about, "rooms": short_names(rooms.tolist()), "room": room, "x": x, "y": y}))
 
     async def _events(self, request: web.Request) -> web.StreamResponse:
         """Send the newest state whenever it changes; a slow browser misses states in between."""

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from siamloc.data.occupancy import OccupancyMap
 from siamloc.report.draw.look import PALE, PAPER, SOFT, TEXT, Picture, legend_entries, lighting_colours, panels, style
 from siamloc.results import rows_by_label, truth
-from siamloc.tables import short_name
+from siamloc.tables import short_names
 
 Table = Mapping[str, NDArray]
 
@@ -146,12 +146,10 @@ def _name_rooms(axes: Axes, map_columns: Table) -> None:
     rooms = {label: rows for label, rows in rows_by_label(map_columns["room"]).items() if map_columns["room"][rows[0]]}
     if len(rooms) > _MOST_ROOM_NAMES:
         return
-    for label, rows in rooms.items():
+    for label, rows in zip(short_names(rooms), rooms.values(), strict=True):
         x, y = map_columns["x"][rows].mean(), map_columns["y"][rows].mean()
         halo = [withStroke(linewidth=2, foreground=PAPER)]
-        axes.text(
-            x, y, short_name(label), fontsize=6.5, color=TEXT, ha="center", va="center", path_effects=halo, zorder=5
-        )
+        axes.text(x, y, label, fontsize=6.5, color=TEXT, ha="center", va="center", path_effects=halo, zorder=5)
 
 
 def _legend(truth: str) -> Sequence[Line2D]:

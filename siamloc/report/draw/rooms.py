@@ -11,7 +11,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import ArrayLike, NDArray
 
 from siamloc.report.draw.look import GRID, INK, PAPER, SERIES, SOFT, Picture, panels, style
-from siamloc.tables import short_name, width_of
+from siamloc.tables import short_names, width_of
 
 _CELL = 0.52  # inches; room for a share and a count
 _LARGEST = 9.0  # largest matrix in inches
@@ -37,7 +37,7 @@ def confusion(
     """
     n = len(labels)
     matrices = {title: np.asarray(part) for title, part in counts.items()}
-    shown = [short_name(label) for label in labels]
+    shown = short_names(labels)
     alone, longest = len(matrices) == 1, max(map(width_of, shown))
     side = float(np.clip((1.0 if alone else 0.8) * _CELL * n, 1.5, _LARGEST if alone else 4.0))
     fits = side / n >= 0.36

@@ -18,7 +18,7 @@ from siamloc.report.draw.floor_plan import along
 from siamloc.report.draw.look import series_1_2_5
 from siamloc.report.page.gathered import Evaluation
 from siamloc.results import Columns, finest, rows_by_label
-from siamloc.tables import short_name
+from siamloc.tables import short_names
 
 WORST = 20
 _CLASSES = 6
@@ -175,12 +175,11 @@ def error_classes(error: NDArray) -> list[float]:
 def _room_labels(known: Columns) -> list[list[Any]]:
     """Return where to write each room's name: at its map frame nearest to the room's centre."""
     labels = []
-    for room, rows in rows_by_label(known["room"]).items():
-        if known["room"][rows[0]] == "":
-            continue
+    rooms = {room: rows for room, rows in rows_by_label(known["room"]).items() if known["room"][rows[0]] != ""}
+    for room, rows in zip(short_names(rooms), rooms.values(), strict=True):
         x, y = known["x"][rows], known["y"][rows]
         at = rows[np.argmin(np.hypot(x - x.mean(), y - y.mean()))]
-        labels.append([short_name(room), int(at), len(rows)])
+        labels.append([room, int(at), len(rows)])
     return labels
 
 

@@ -59,6 +59,8 @@ def test_frames_that_stand_alone_are_counted():
     assert radius.startswith("3 of 6 frames have no other one within pairs.radius=0.3 m: their places have the")
     assert reach.startswith("1 of 6 frames have no other one within pairs.reach=5 m: ")
     assert reach.endswith("a larger pairs.reach finds some"), "half of the frames have one nearer than that"
+    alone = FrameTable(path=list("abcd"), x=[0, 1, 2, 3], y=[0] * 4, building=list("abcd"))
+    assert PlaceSampler(alone, PlaceSettings(places=2, images=2)).notes()[0].endswith("alone makes different")
     elsewhere = frames.with_columns(building=["a", "b", "b", "b", "b", "b"])
     assert PlaceSampler(elsewhere, PlaceSettings(places=2, images=2)).notes()[0].startswith("4 of 6 frames")
 

@@ -372,8 +372,9 @@ def test_queries_and_validation_in_another_unit_than_the_map_are_refused_by_ever
 def test_queries_whose_label_names_a_row_of_the_tables_are_refused(world, column, label):
     images, _, tuesday, _, known = world
     labels = np.where(np.arange(len(tuesday)) % 2, label, "night")
+    same = tuesday.with_columns(building=["b"] * len(tuesday), **{column: labels})
     with pytest.raises(DataError, match=rf"the {column} {re.escape(repr(label))}, which names a row of the tables"):
-        evaluation.compact(known, images, tuesday.with_columns(**{column: labels}), nodes=(2,), ways=("sample",))
+        evaluation.compact(known, images, same, nodes=(2,), ways=("sample",))
 
 
 def test_every_result_says_what_its_methods_take_and_keep(world, tmp_path):

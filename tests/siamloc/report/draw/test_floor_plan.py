@@ -57,6 +57,9 @@ def test_a_very_long_name_of_a_room_is_cut_in_the_middle() -> None:
     assert len(name) == 40
     assert name.startswith("begin")
     assert name.endswith("end")
+    alike = [f"{'x' * 30}{number}{'x' * 30}" for number in range(3)]
+    figure = floor_plan(queries, {**columns, "room": np.array(alike)})
+    assert [text.get_text() for text in figure.axes[0].texts] == alike, "names that differ in the middle stay whole"
 
 
 def test_a_turned_map_is_turned_about_its_corner() -> None:
