@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from filelock import FileLock, Timeout
+
 from foundation.errors import ConfigError
 from foundation.files import storage_errors
 
@@ -27,8 +29,6 @@ def locked(file: Path, *, wait: bool = True) -> Iterator[bool]:
     Raises:
         StorageError: the disk refuses.
     """
-    from filelock import FileLock, Timeout  # a robot, which locks nothing, need not have it
-
     lock = FileLock(file, mode=0o666)
     lockable = True
     with storage_errors(file), suppress(Timeout):

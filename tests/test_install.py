@@ -1,4 +1,4 @@
-"""The robot's installation: the wheel and its dependencies, without torch, Hydra and the rest of the laboratory."""
+"""Installations without torch, Hydra and the rest: no extra at all, and the wheel with the extra of the robot."""
 
 import os
 import subprocess
@@ -14,6 +14,7 @@ from siamloc.data import FrameTable, PanoramaLibrary
 from siamloc.maps import build
 from siamloc.models import build as network
 from siamloc.runtime import export
+from tests.installed import printed
 
 ROOT = Path(__file__).parents[1]
 PIP = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet")
@@ -53,6 +54,18 @@ def bundle(tmp_path_factory):
         known = build(name, images, frames, progress=False)
         export(known.descriptor, known, folder / name)
     return folder
+
+
+def test_without_extras_there_are_data_sets_analytic_descriptors_maps_and_bundles(tmp_path):
+    shown = printed(f"""
+from pathlib import Path
+import siamloc
+folder, images = Path({str(tmp_path)!r}), siamloc.data.example()
+siamloc.maps.build("hog", images, images.frames, progress=False).save(folder / "map.npz")
+siamloc.runtime.export("hog", siamloc.maps.VisualMap.load(folder / "map.npz"), folder / "bundle")
+print(siamloc.runtime.Localizer(folder / "bundle").locate(images.frames.path[3]).room, images.frames.room[3])
+""")
+    assert shown == "office office\n"
 
 
 @pytest.mark.slow

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -59,16 +57,6 @@ def small() -> tuple[Descriptor, VisualMap]:
 def bare(small, tmp_path_factory) -> Path:
     """The bundle of the small network and its map, to be left as it is."""
     return export(*small, tmp_path_factory.mktemp("robot") / "bare").path
-
-
-def printed_without_torch(code: str) -> str:
-    """Run code where only numpy, OpenCV and onnxruntime can be imported, and return what it prints."""
-    hidden = ("torch", "torchvision", "lightning", "scipy", "sklearn", "pandas", "hydra", "omegaconf", "onnx", "rich")
-    hiding = f"import sys\nsys.modules.update(dict.fromkeys({hidden}))\n"
-    command = [sys.executable, "-W", "error", "-c", hiding + code]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=Path(__file__).parents[3])
-    assert done.returncode == 0, done.stderr
-    return done.stdout
 
 
 def rewritten(bundle: Path, folder: Path, **parts: Any) -> Path:

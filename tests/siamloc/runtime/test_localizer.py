@@ -24,7 +24,8 @@ from siamloc.maps.error_model import ErrorModel
 from siamloc.models import as_descriptor, build
 from siamloc.runtime import Bundle, Localizer, Located, export, locate_all, written
 from tests.drawn import ROOMS
-from tests.siamloc.runtime.conftest import IMAGES, SIZE, batch, drive, mapped, printed_without_torch, rewritten
+from tests.installed import printed
+from tests.siamloc.runtime.conftest import IMAGES, SIZE, batch, drive, mapped, rewritten
 
 PICTURES = drive(2)[0]
 
@@ -337,15 +338,18 @@ def test_altered_files_are_refused_and_a_bundle_takes_the_place_of_an_older_one(
 
 def test_the_robot_needs_numpy_opencv_and_onnxruntime_alone(bundle, tmp_path):
     np.save(tmp_path / "picture.npy", PICTURES[3])
-    printed = printed_without_torch(f"""
+    shown = printed(
+        f"""
 import json
 import numpy as np
 from siamloc.runtime import Localizer
 location = Localizer({str(bundle)!r}).locate(np.load({str(tmp_path / "picture.npy")!r}))
 print(json.dumps([location.x, location.y, location.theta, location.error_m, location.lost]))
-""")
+""",
+        "robot",
+    )
     here = Localizer(bundle).locate(PICTURES[3])
-    assert json.loads(printed) == pytest.approx([here.x, here.y, here.theta, here.error_m, here.lost])
+    assert json.loads(shown) == pytest.approx([here.x, here.y, here.theta, here.error_m, here.lost])
 
 
 def test_a_network_that_finds_headings_needs_nothing_beside_it(tmp_path):

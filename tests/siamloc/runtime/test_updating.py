@@ -21,7 +21,8 @@ from siamloc.maps import ErrorModel, LayerSearch, group
 from siamloc.runtime import Bundle, Candidate, Localizer, Location, export, locate_all, update
 from siamloc.runtime.collecting import Collector, _pictures, collected
 from siamloc.runtime.describing import coarse_map
-from tests.siamloc.runtime.conftest import SIZE, altered, batch, drive, mapped, printed_without_torch
+from tests.installed import printed
+from tests.siamloc.runtime.conftest import SIZE, altered, batch, drive, mapped
 
 HOG = analytic.descriptor("hog", rows=4)
 TOLD = ErrorModel("ratio", 1.0, 5, (0.0, 1.0), (0.05, 0.2), 24, lost_above=0.15)
@@ -332,12 +333,15 @@ def test_each_drive_has_a_folder(bundle, tmp_path):
 
 def test_an_update_needs_numpy_opencv_and_onnxruntime_alone(bundle, tmp_path):
     kept_by(Collector(tmp_path / "seen"), painted(drive(1)[0]), drive(1)[1])
-    printed = printed_without_torch(f"""
+    shown = printed(
+        f"""
 from siamloc.runtime import update
 (found,) = update({str(bundle)!r}, {str(tmp_path / "seen")!r}, growth=1.25)
 print(len(found.known), found.added.sum())
-""")
-    frames, added = map(int, printed.split())
+""",
+        "robot",
+    )
+    frames, added = map(int, shown.split())
     assert frames == len(Localizer(bundle).map) == 30
     assert added > 0
 
