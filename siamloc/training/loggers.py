@@ -68,7 +68,7 @@ def _made(name: str, folder: Path) -> Logger:
     if name == "tensorboard":
         return TensorBoardLogger(folder, name="tensorboard", version="", default_hp_metric=False)
     if name == "csv":
-        return CSVLogger(folder, name="csv", version="")
+        return CSVLogger(folder, name="csv")  # a version for each part of a run: it would empty the folder of the part before
     title = folder.absolute().name
     if name == "wandb":
         project = os.environ.get("WANDB_PROJECT", "siamloc")

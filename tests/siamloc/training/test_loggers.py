@@ -16,13 +16,15 @@ from tests.siamloc.training.conftest import SETTINGS, network
 
 @pytest.fixture
 def train(images, drives, tmp_path):
-    """Train a run with a logger; twice, since a run that replaces another one must remove its files."""
+    """Train a run with a logger, in parts; twice, since a run that replaces another one must remove its files."""
 
-    def train(logger):
+    def train(logger, parts=1):
         quick = {"accelerator": "cpu", "logger": logger, "log_every_n_steps": 2}
+        more = {"run": tmp_path / "run", "validation": drives[1], "trainer": quick, **SETTINGS}
         for _ in range(2):
-            roles = {"run": tmp_path / "run", "validation": drives[1]}
-            run = fit(network(), images, drives[0], **roles, epochs=2, trainer=quick, overwrite=True, **SETTINGS)
+            run = fit(network(), images, drives[0], epochs=2, overwrite=True, **more)
+        for part in range(1, parts):
+            run = fit(network(), images, drives[0], epochs=2 + part, resume=True, **more)
         return run
 
     return train
@@ -41,17 +43,20 @@ def test_unknown_and_missing_loggers_are_named(monkeypatch):
     assert check_loggers("csv") == ["csv"]
 
 
-def test_csv_holds_the_curves_and_the_settings(train):
-    run = train("csv")
-    rows = csv.DictReader((run.folder / "csv" / "metrics.csv").read_text().splitlines())
+def test_csv_holds_the_curves_and_the_settings_of_each_part(train):
+    run = train("csv", parts=2)
+    parts = [run.folder / "csv" / name for name in ("version_0", "version_1")]
+    assert sorted((run.folder / "csv").iterdir()) == parts
+    rows = [row for part in parts for row in csv.DictReader((part / "metrics.csv").read_text().splitlines())]
     logged = [float(row["train/loss"]) for row in rows if row.get("train/loss")]
     assert logged == pytest.approx(run.curves()["train/loss"].tolist())
-    assert "learning_rate: 0.001" in (run.folder / "csv" / "hparams.yaml").read_text()
+    assert "learning_rate: 0.001" in (parts[1] / "hparams.yaml").read_text()
     assert not run.tensorboard.exists()
-    rows, columns = size_of(run.folder / "csv" / "worst_queries.png")
+    rows, columns = size_of(parts[0] / "worst_queries.png")
     assert columns > 3 * 128
     assert rows % 6 == 0
-    assert {"csv/metrics.csv", "csv/hparams.yaml", "csv/worst_queries.png"} <= set(run.load_record()["written"])
+    written = {f"csv/version_1/{name}" for name in ("metrics.csv", "hparams.yaml", "worst_queries.png")}
+    assert written <= set(run.load_record()["written"])
 
 
 def test_tensorboard_gets_the_settings_and_the_worst_queries_and_none_writes_nothing(train):
