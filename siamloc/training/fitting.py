@@ -47,7 +47,7 @@ from siamloc.training.checks import (
     monitored,
     usable,
 )
-from siamloc.training.loggers import listed, log_settings
+from siamloc.training.loggers import begin_records, listed, log_settings
 from siamloc.training.pair_batches import PairDataModule
 from siamloc.training.place_batches import PlaceDataModule, rooms_of, validation_drive
 from siamloc.training.run_folder import (
@@ -236,6 +236,7 @@ def learn(
             check_same_training(run, plain(used), settings.epochs)
             if last.is_file():
                 check_architecture(last, module)
+        begin_records(lightning.loggers)
         if first:
             open_run(run, used, resume=resume, validated=monitor is not None)
             model = content["model"]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from foundation.extras import installing
 from foundation.files import write_picture
-from siamloc.errors import ConfigError, hint
+from siamloc.errors import ConfigError, hint, in_one_line
 from siamloc.lightning import CSVLogger, Logger, MLFlowLogger, TensorBoardLogger, WandbLogger
 from siamloc.runs import Run
 
@@ -59,16 +60,37 @@ def loggers_of(run: Run, chosen: Any) -> list[Logger]:
         chosen: as for `check_loggers`.
 
     Raises:
-        ConfigError: as `check_loggers`.
+        ConfigError: as `check_loggers`, or a logger that cannot start.
     """
     return [one if isinstance(one, Logger) else _made(one, run.folder) for one in check_loggers(chosen)]
 
 
+@contextmanager
+def _starting() -> Iterator[None]:
+    try:
+        yield
+    except Exception as error:  # whatever the packages of loggers raise
+        raise ConfigError(f"a logger of the trainer cannot start: {in_one_line(error)}") from error
+
+
+@_starting()
+def begin_records(loggers: list[Logger]) -> None:
+    """Begin the records of a training at Weights & Biases and MLflow, whose servers may refuse it.
+
+    Raises:
+        ConfigError: a logger that cannot start, such as without a key of its server.
+    """
+    for logger in loggers:
+        if isinstance(logger, WandbLogger | MLFlowLogger):
+            _ = logger.experiment
+
+
+@_starting()
 def _made(name: str, folder: Path) -> Logger:
     if name == "tensorboard":
         return TensorBoardLogger(folder, name="tensorboard", version="", default_hp_metric=False)
     if name == "csv":
-        return CSVLogger(folder, name="csv")  # a version for each part of a run: it would empty the folder of the part before
+        return CSVLogger(folder, name="csv")  # a version for each part of a run: it empties folders that it finds
     title = folder.absolute().name
     if name == "wandb":
         project = os.environ.get("WANDB_PROJECT", "siamloc")

@@ -9,6 +9,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from siamloc.data.image_files import size_of
 from siamloc.errors import ConfigError
+from siamloc.lightning import MLFlowLogger
 from siamloc.training import fit, loggers
 from siamloc.training.loggers import check_loggers
 from tests.siamloc.training.conftest import SETTINGS, network
@@ -68,6 +69,25 @@ def test_tensorboard_gets_the_settings_and_the_worst_queries_and_none_writes_not
     run = train(False)
     assert not any((run.folder / name).exists() for name in ("tensorboard", "csv"))
     assert len(run.curves()["epoch"]) == 2
+
+
+class Refused(MLFlowLogger):
+    """A logger whose server refuses it."""
+
+    def __init__(self):
+        self._initialized = False
+
+    @property
+    def experiment(self):
+        raise PermissionError("no key is configured")
+
+
+def test_a_logger_that_cannot_start_leaves_the_run_as_it_was(train):
+    run = train(False)
+    before = {path: path.stat().st_mtime_ns for path in run.folder.rglob("*")}
+    with pytest.raises(ConfigError, match="a logger of the trainer cannot start: PermissionError: no key is"):
+        train(Refused())
+    assert {path: path.stat().st_mtime_ns for path in run.folder.rglob("*")} == before
 
 
 @pytest.mark.slow
