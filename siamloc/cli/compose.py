@@ -12,6 +12,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from foundation.extras import installing
 from foundation.settings import merged, quoted, unquoted
 from siamloc.cli.help import job_of
 from siamloc.cli.overrides import flags_first, key_of, meant, only_of_others, together
@@ -314,6 +315,8 @@ def _explained(error: Exception, words: list[str], kind: type[Job]) -> Exception
         return ConfigError(f"unknown configuration key {key!r}: {_nearest_key(key, kind, words)}{more}")
     if found := re.search(r"(?:Could not find|In '[^']*': Could not find) '([^']+)'", text):
         group, _, name = found[1].rpartition("/")
+        if group == "hydra/launcher":
+            return ConfigError(f"no launcher {name} is installed here: for joblib, {installing('sweeps')}")
         return ConfigError(f"unknown option {group}={name}: {hint(name, choices(group))}")
     return ConfigError(f"{text} (given: {' '.join(words)})")
 

@@ -72,6 +72,7 @@ def test_damaged_files_are_told_in_a_sentence():
         ("train model/branch=not_there:factory", "model.branch=not_there:factory cannot be imported"),
         ("train model/branch=:factory", "model.branch=:factory cannot be imported (ValueError: Empty module name)"),
         ("train resume=true run=nowhere", "there is no run to resume in nowhere: leave out resume=true"),
+        ("train hydra/launcher=slurm", "no launcher slurm is installed here: for joblib, run pip install '.[sweeps]'"),
         ("train photo.jpeg", "'photo.jpeg' is not of the form key=value"),
         ("train --resolve", "add --cfg job"),
         ("train epochs=2 --foo seed=1", "there is no option --foo: give settings as key=value"),
