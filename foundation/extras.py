@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 _OURS = ("siamloc", "analytic", "augment", "foundation")
 EXTRAS = {
     "onnxruntime": "robot",
@@ -16,6 +18,16 @@ EXTRAS = {
     "mlflow": "mlflow",
 }
 """The extra that installs a module; modules that are not listed come with the extra `train`."""
+
+
+def need(module: str) -> None:
+    """Make sure, before long work, that a module is installed.
+
+    Raises:
+        ModuleNotFoundError: it is not; the message names the extra that installs it.
+    """
+    if find_spec(module) is None:
+        raise ModuleNotFoundError(lacking(ModuleNotFoundError(name=module)), name=module)
 
 
 def lacking(error: ModuleNotFoundError, wider: str = "train") -> str | None:

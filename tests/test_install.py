@@ -68,6 +68,21 @@ print(siamloc.runtime.Localizer(folder / "bundle").locate(images.frames.path[3])
     assert shown == "office office\n"
 
 
+def test_without_extras_an_evaluation_and_a_clustering_name_theirs_at_once():
+    shown = printed("""
+import siamloc
+images = siamloc.data.example()
+known = siamloc.maps.build("hog", images, images.frames, progress=False)
+for call, arguments in (siamloc.evaluation.localization, (images, images.frames)), (siamloc.maps.group, ("spectral",)):
+    try:
+        call(known, *arguments)
+    except ModuleNotFoundError as error:
+        print(error)
+""")
+    needs = "this needs {}, which is not installed here: run pip install '.[train]' in the folder of siamloc's source\n"
+    assert shown == needs.format("scipy") + needs.format("sklearn")
+
+
 @pytest.mark.slow
 def test_the_robot_locates_images_without_the_laboratory(robot, bundle):
     done = robot("-m", "siamloc", "localize", f"bundle={bundle / 'bundle'}", f"images={bundle / 'b.png'}", "top=1")

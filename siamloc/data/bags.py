@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.extras import lacking
+from foundation.extras import need
 from siamloc.data.image_files import UnreadableImageError, bits_used
 from siamloc.data.trajectory import Trajectory, composed
 from siamloc.errors import DataError, SiamlocError, hint, logger
@@ -73,11 +73,9 @@ class Bag:
         self.path = path
 
     def __enter__(self) -> Bag:
-        try:
-            from rosbags.highlevel import AnyReader
-            from rosbags.typesys import Stores, get_typestore
-        except ModuleNotFoundError as error:
-            raise ModuleNotFoundError(lacking(error), name=error.name) from error
+        need("rosbags")
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
 
         with self._whole():
             named = self.path.suffix == ".bag" and self.path.is_dir()  # rosbags takes it for a bag of ROS 1

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from analytic import Description, Descriptor
 from foundation.calls import typed
 from foundation.columns import Rows
+from foundation.extras import need
 from foundation.settings import Count, NotNegative, Rule, Settings
 from siamloc import maps
 from siamloc.data.frames import FrameTable, check_units
@@ -131,6 +132,7 @@ class Session:
         name: str | None = None,
         seed: int = 0,
     ) -> None:
+        need("scipy")
         self.known, self.images, self.seed = known, images, seed
         self.protocol = as_protocol(protocol)
         self.name = name or known.descriptor.name

@@ -15,6 +15,7 @@ from analytic import clustering
 from analytic.mapper import IncrementalMapper, Parameters
 from foundation.calls import typed
 from foundation.errors import known as known_name
+from foundation.extras import need
 from foundation.files import read_json, storage_errors, write_json, write_text
 from foundation.locks import LOCK, locked
 from foundation.settings import Count, Natural, Positive, Probability, Seed, Settings, as_words
@@ -249,6 +250,7 @@ def group(
     if folder is not None and (found := _built_before(Path(folder), known, made)) is not None:
         return found
     if not isinstance(settings, Rooms | Sample):
+        need("sklearn")
         check_means(known, "use build=sample or rooms, or another descriptor")
     start = time.perf_counter()
     if isinstance(settings, Incremental):

@@ -600,7 +600,7 @@ def test_a_strict_extraction_stops_at_the_first_image_that_is_left_out(tmp_path)
 
 
 def test_without_rosbags_the_extra_is_named(bags, monkeypatch):
-    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    monkeypatch.setitem(sys.modules, "rosbags", None)
     with pytest.raises(ModuleNotFoundError) as error:
         siamloc.data.contents(bags["ros1"])
     assert "pip install '.[recordings]'" in str(error.value)
