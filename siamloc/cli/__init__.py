@@ -116,6 +116,8 @@ def _sentence(error: Exception, words: list[str]) -> str | None:
         from siamloc import checkup
 
         return lacking(error, "simulate" if words[0] in checkup.COMMANDS["simulate"] else "train")
+    if isinstance(error, FileNotFoundError) and error.filename is None:  # of os.getcwd
+        return "the current folder was removed: change to another one"
     if isinstance(error, OSError) and error.filename is not None and error.strerror:
         return f"{error.filename} cannot be used: {error.strerror.lower()}"
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EIO, errno.EDQUOT) and error.strerror:

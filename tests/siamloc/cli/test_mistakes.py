@@ -97,6 +97,15 @@ def test_runs_that_are_missing_or_not_named(data, tmp_path, capsys, monkeypatch)
     assert "robot holds no trained network, only maps by hsv, thumbnail: choose the descriptor, such as desc" in said
 
 
+def test_a_current_folder_that_was_removed_is_said(tmp_path, capsys, monkeypatch):
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    says = "siamloc: the current folder was removed: change to another one"
+    assert refused(capsys, "compare", f"runs={tmp_path}") == says
+
+
 @pytest.mark.parametrize("content", [{"format": "siamloc-run", "version": 1, "settings": {}}, {}, [1], 5, None])
 def test_records_of_other_versions_are_refused(tmp_path, capsys, content):
     (tmp_path / "run.json").write_text(json.dumps(content))
