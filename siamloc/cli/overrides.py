@@ -125,13 +125,14 @@ def _whole(word: str) -> str:
 
 
 def _with_quotes(word: str) -> str:
-    """Quote values with letters that Hydra's grammar lacks, such as umlauts, unless they have symbols of that grammar.
+    """Quote values with signs that Hydra's grammar lacks, umlauts or ~, unless they have symbols of that grammar.
 
     A comma separates the values of a sweep.
     """
     key, equals, value = word.partition("=")
     plain = not equals or word.startswith("-") or set(value) & set("'\"[](){}$\\")
-    return word if plain else f"{key}={','.join(one if one.isascii() else quoted(one) for one in value.split(','))}"
+    values = (one if one.isascii() and "~" not in one else quoted(one) for one in value.split(","))
+    return word if plain else f"{key}={','.join(values)}"
 
 
 def _as_meant(word: str, kind: type[Job]) -> str:

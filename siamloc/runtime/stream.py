@@ -172,7 +172,7 @@ def named(images: str | Path | Sequence[str | Path]) -> list[tuple[str, list[Pat
         ConfigError: no names.
         DataError: a file that does not exist, or a folder without images.
     """
-    names = [images] if isinstance(images, (str, Path)) else list(images)
+    names = [Path(one).expanduser() for one in ([images] if isinstance(images, (str, Path)) else images)]
     if not names:
         raise ConfigError("no images given: name files, folders, videos or cameras, images=[a.jpeg,folder,camera:0]")
     return [(str(name), _files(name)) for name in names]
@@ -245,7 +245,10 @@ def written(path: str | Path, located: Iterable[Located]) -> Generator[Located, 
         raise ConfigError(f"{path} must be a table (.csv) or lines of JSON (.jsonl)")
     head, line = LINES[path.suffix]
     count, stopped = 0, None
-    with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+    with (
+        atomic_path(path) as temporary,
+        temporary.open("w", encoding="utf-8", errors="backslashreplace", newline="") as file,
+    ):
         file.write(head)
         try:
             for one in located:

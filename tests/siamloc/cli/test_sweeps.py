@@ -238,6 +238,8 @@ def test_a_sweep_over_a_branch_of_ones_own_and_another_is_mapped_at_once(data, h
     assert "has this branch: leave it out" in refused(capsys, *given)
 
 
-def test_swept_folders_may_have_any_letters(tmp_path, capsys):
-    says = "there is no folder runs/hög: name that of a sweep"
-    assert says in refused(capsys, "compare", "-m", "runs=runs/hög,runs/a")
+def test_swept_folders_may_have_any_letters_and_lie_at_home(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for folder, path in ("runs/hög", "runs/hög"), ("~/hog", tmp_path / "hog"):
+        says = f"there is no folder {path}: name that of a sweep"
+        assert says in refused(capsys, "compare", "-m", f"runs={folder},runs/a")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 import subprocess
 import sys
@@ -183,6 +184,16 @@ def test_what_was_located_before_an_interrupt_or_an_error_is_kept(tmp_path, stop
         list(written(target, located(0)))
     assert "2.png" in target.read_text(), "where nothing was located, what is there stays"
     assert [path.name for path in tmp_path.iterdir()] == ["locations.csv"]
+
+
+def test_names_may_begin_at_home_and_hold_bytes_that_are_no_text(bundle, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    name = os.fsdecode(b"\xe9.png")
+    (tmp_path / name).write_bytes(cv2.imencode(".png", PICTURES[3])[1].tobytes())
+    for kind in ("csv", "jsonl"):
+        list(written(tmp_path / f"locations.{kind}", locate_all(Localizer(bundle), f"~/{name}")))
+    assert "/\\udce9.png," in (tmp_path / "locations.csv").read_text()
+    assert json.loads((tmp_path / "locations.jsonl").read_text())["image"] == str(tmp_path / name)
 
 
 def test_a_picture_that_does_not_fit_the_camera_does_not_end_the_drive(bundle, tmp_path):
