@@ -183,7 +183,7 @@ class MapFrames(RunJob):
         say(f"picture: {picture}")
         if not swept():
             refined = Refinement.saved(path.with_name("refinement.json")) if self.build.name == "none" else None
-            more = {} if refined is None else {"task.refine": refined.method}
+            more: dict[str, Any] = {} if refined is None else {"task.refine": refined.method}
             if (self.here.bundle / THUMBNAILS).exists():
                 more["thumbnails"] = True
             self._say_next(say, "export", more)
