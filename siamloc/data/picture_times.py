@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from datetime import datetime, timedelta, timezone
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +40,7 @@ def taken_at(files: Sequence[Path], span: float | None = None) -> Array:
         DataError: names with times of different kinds.
     """
     folder, dates = str(files[0].parent), _dates(files)
-    if dates is None and np.isfinite(stamps := _stamps(files, span)).all():
+    if dates is None and (stamps := _stamps(files, span)) is not None:
         _check_alike(files, stamps)
         return stamps
     if (held := _of_cameras(files)) is not None:
@@ -57,14 +58,15 @@ def taken_at(files: Sequence[Path], span: float | None = None) -> Array:
     return times
 
 
-def _stamps(files: Sequence[Path], span: float | None) -> Array:
+def _stamps(files: Sequence[Path], span: float | None) -> Array | None:
+    """Return the times by the numbers at the ends of the names; None if a name has none, or they are counters."""
     stamps = [_STAMP.search(_IN_PARTS.sub(r"\1.\2", file.stem)) for file in files]
     if all(stamps):
         numbers = np.array([float(stamp[0]) for stamp in stamps if stamp])
         large = numbers.max() >= _COUNTER[0] or np.ptp(numbers) >= _COUNTER[1] * len(numbers)
         if large or any("." in stamp[0] for stamp in stamps if stamp):
             return seconds(numbers, str(files[0].parent), span)
-    return np.full(len(files), np.nan)
+    return None
 
 
 def _check_alike(files: Sequence[Path], stamps: Array) -> None:
@@ -104,12 +106,9 @@ def _dates(files: Sequence[Path]) -> tuple[Array, bool] | None:
 
 def _name_lacking(files: Sequence[Path], span: float | None) -> None:
     """Warn of the pictures without a time in their names, if most pictures have one."""
-    for pattern, timed in (
-        (_DATE, lambda those: _dates(those) is not None),
-        (_STAMP, lambda those: bool(np.isfinite(_stamps(those, span)).all())),
-    ):
+    for pattern, times_of in ((_DATE, _dates), (_STAMP, partial(_stamps, span=span))):
         those = [file for file in files if pattern.search(file.stem)]
-        if 2 * len(those) > len(files) and timed(those):
+        if 2 * len(those) > len(files) and times_of(those) is not None:
             _say_lacking(files, [file.name for file in files if file not in those], "in the name")
             return
 
