@@ -216,7 +216,7 @@ def extract(
         if (folder / _KEPT).is_file() and read_json(folder / _KEPT) != about:
             raise DataError(f"{folder} holds the images of another recording, as {_KEPT} says: give another folder")
         counted = isinstance(recording, Pictures) or path.suffix.lower() in COUNTED  # whose length is known
-        if counted and not isinstance(recording, Bag) and recording.seconds > 0:  # before all pictures are decoded
+        if counted and recording.seconds > 0:  # before all pictures are decoded
             taken = recording.taken if isinstance(recording, Pictures) else np.array([0.0, recording.seconds])
             for one in filter(None, given.values()):
                 check_clocks(taken + settings.offset, one, settings.offset)
