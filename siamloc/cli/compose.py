@@ -211,8 +211,7 @@ def _sweep_of_the_job() -> Sweep:
     if hydra.mode != RunMode.MULTIRUN:
         return Sweep()
     fixed = set(hydra.job.config.override_dirname.exclude_keys)
-    words = {word.partition("=")[0].lstrip("+~"): word.lstrip("+~") for word in hydra.overrides.task}
-    words = {key: word for key, word in words.items() if key not in fixed}
+    words = {key: word.lstrip("+~") for word in hydra.overrides.task if (key := key_of(word)) not in fixed}
     parser = OverridesParser.create()
     values = {key: parser.parse_override(word).value() for key, word in words.items()}
     return Sweep(values, {key: word.partition("=")[2] for key, word in words.items()}, int(hydra.job.num))
