@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from siamloc.data.frames import FrameTable
+from siamloc.data.moves import way_along
 from siamloc.data.trajectory import Array
 
 _REACHES = (0.0, 0.4, 0.8, 1.6)  # moves to the first frame that is this far along the drive, in the unit of x and y
@@ -24,8 +25,7 @@ def near_pairs(frames: FrameTable) -> tuple[NDArray[np.int64], NDArray[np.int64]
     found = [_NONE]
     for rows in frames.rows_by("sequence").values():
         rows = rows[np.isfinite(frames.theta[rows]) & frames.has_position[rows]]
-        steps = np.hypot(np.diff(frames.x[rows]), np.diff(frames.y[rows]))
-        along = np.concatenate([np.zeros(min(len(rows), 1)), np.cumsum(steps)])
+        along = way_along(frames.xy[rows])
         for reach in _REACHES:
             after = np.maximum(np.searchsorted(along, along + reach), np.arange(len(rows)) + 1)
             inside = after < len(rows)
