@@ -58,10 +58,8 @@ def drive_faults(
         part = _turning(frames)
         seen = turns_seen(images.batch(images.rows(part)))
         headed = (np.isfinite(part.theta) | np.isfinite(part.odom_theta)).any() and np.isfinite(part.time).all()
-        if described_by is not None and getattr(described_by, "compares", False) and headed:
-            found.append(other_times(turns_compared(described_by, images, part), part))
-        else:
-            found.append(other_times(seen, part))
+        by_network = described_by if headed and getattr(described_by, "compares", False) else None
+        found.append(other_times(seen if by_network is None else turns_compared(by_network, images, part), part))
         estimate = MountingEstimate()
         if mounting and described_by is not None and frames.has_position.any():
             estimate = find_mounting(described_by, images, frames)
