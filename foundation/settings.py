@@ -400,10 +400,8 @@ def _fit_plain(value: Any, kind: Any) -> tuple[bool, Any]:
         return False, value
     if kind is float:
         return isinstance(value, int | float) and not _beyond(value), value
-    if kind is Path:
-        if isinstance(value, str):
-            return bool(value.strip()), Path(value).expanduser()
-        return isinstance(value, Path), value
+    if kind is Path and isinstance(value, str):
+        return bool(value.strip()), Path(value).expanduser()
     return not isinstance(kind, type) or isinstance(value, kind), value
 
 
