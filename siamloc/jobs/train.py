@@ -93,16 +93,13 @@ class _Training(Learning, Job):
         folder = Path("runs") / "-".join(names) if self.folder is None else Path(self.folder)
         return folder / sweep_suffix() if sweep_suffix() else folder
 
-    def resumes(self, folder: Path) -> bool:
-        """Return whether to continue the run in a folder; in a sweep, runs that are not there yet start afresh."""
-        return self.resume and not (sweep_suffix() and not Run(folder).record.is_file())
-
     def common(self, data: str) -> dict[str, Any]:
         """Return the arguments that the calls of both trainings have; `data` begins the name of the run's folder."""
         folder = self.target(data)
         own = {"trainer": self.trainer.plain(), "overwrite": self.overwrite, "settings": self.training}
         made = {"loss": self.make_loss(), "augmentation": self.augment.policy}
-        return {"run": folder, "resume": self.resumes(folder), **made, **own}
+        resume = self.resume and (not sweep_suffix() or Run(folder).record.is_file())  # a new run of a sweep is started
+        return {"run": folder, "resume": resume, **made, **own}
 
 
 @dataclass(frozen=True, kw_only=True)
