@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -146,8 +147,8 @@ class Export(RunJob):
         """
         protocol = self.protocol
         more: dict[str, Any] = {} if refine is None else {"task.refine": refine}
-        folder = self.here.evaluation(self.descriptor.title)
-        try:
+        folder, words = self.here.evaluation(self.descriptor.title), None
+        with suppress(SiamlocError):
             if (folder / "results.json").is_file():
                 before = Protocol.of(read_results(folder).get("config", {}).get("protocol") or {})
                 protocol = replace(before, train=protocol.train, map=protocol.map)
@@ -156,8 +157,6 @@ class Export(RunJob):
             frames = self.data.read()
             others = frames.take(frames.has_position & ~np.isin(frames.sequence, known.frames.sequence))
             words = self.for_evaluation(protocol, lambda: others, "query", "validation")
-        except SiamlocError:
-            words = None
         if words is None:
             words = {f"protocol.{role}.sequences": ["NAME"] for role in ("validation", "query")}
         return f"siamloc evaluate {named} {as_words({**words, 'task.error_model': True, **more})}"
