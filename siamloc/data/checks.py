@@ -126,7 +126,7 @@ def wrong_headings(frames: FrameTable) -> Iterator[str]:
     theta = frames.theta[np.isfinite(frames.theta)]
     beyond, largest = int((np.abs(theta) > _TURN + 0.01).sum()), np.abs(theta).max(initial=0)
     heading, travel = _moving(frames)
-    follows = _agreement(heading - travel)[0] if len(heading) >= 10 else np.nan
+    follows = _agreement(heading - travel)[0]
     if follows >= _FITS:
         return
     if beyond > len(theta) / 4:
@@ -159,9 +159,7 @@ def wrong_odometry(frames: FrameTable) -> Iterator[str]:
     two frames that radians do not explain: up to half a turn, and a full turn where angles start again.
     """
     heading, travel = _moving(frames.with_columns(x=frames.odom_x, y=frames.odom_y, theta=frames.odom_theta))
-    as_radians, as_degrees = np.nan, np.nan
-    if len(heading) >= 10:
-        as_radians, as_degrees = _agreement(heading - travel)[0], _agreement(np.radians(heading) - travel)[0]
+    as_radians, as_degrees = (_agreement(angle - travel)[0] for angle in (heading, np.radians(heading)))
     if as_radians >= _FITS:
         return
     turns = [np.diff(frames.odom_theta[rows]) for rows in frames.rows_by("sequence").values()]
@@ -190,8 +188,8 @@ def _moving(frames: FrameTable) -> tuple[NDArray[np.float64], NDArray[np.float64
 
 
 def _agreement(difference: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the length (0 to 1) and the direction (rad) of the mean of unit vectors."""
-    mean = np.exp(1j * difference).mean()
+    """Return the length (0 to 1) and the direction (rad) of the mean of unit vectors; NaN for fewer than 10."""
+    mean = np.exp(1j * difference).mean() if len(difference) >= 10 else np.nan
     return float(np.abs(mean)), float(np.angle(mean))
 
 
