@@ -34,9 +34,10 @@ from statistics import fmean
 from typing import Any
 
 from foundation.calls import typed
+from foundation.errors import known
 from foundation.settings import Settings, Text
 from siamloc.errors import ConfigError, hint
-from siamloc.reproduce.published import Record, Source, contents, grouped, measures, named, published
+from siamloc.reproduce.published import Record, Source, contents, grouped, measures, published
 
 _BOUNDS: dict[str, Callable[[Any, Any], bool]] = {
     "above": operator.gt,
@@ -96,7 +97,8 @@ def claim(id: str) -> Claim:
     Raises:
         ConfigError: an unknown id.
     """
-    return named({one.id: one for one in claims()}, id, "claim")
+    every = {one.id: one for one in claims()}
+    return every[known(id, every, "claim")]
 
 
 @cache
@@ -139,9 +141,7 @@ def examine(check: Mapping[str, Any], records: Sequence[Record]) -> Finding:
         >>> examine({"kind": "threshold", "measure": "error", "below": 0.5}, [Record("error", 0.4, {})]).holds
         True
     """
-    kind = str(check.get("kind"))
-    if kind not in _KINDS:
-        raise ConfigError(f"unknown kind of check {kind!r}; {hint(kind, _KINDS)}")
+    kind = known(str(check.get("kind")), _KINDS, "kind of check")
     passes, keys = _KINDS[kind][0], _KINDS[kind][1] | _COMMON
     for key in set(check) - keys:
         raise ConfigError(f"a check of kind {kind} has no key {key!r}; {hint(key, sorted(keys))}")

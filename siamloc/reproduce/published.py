@@ -8,14 +8,12 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from statistics import fmean, stdev
-from typing import Any, TypeVar
+from typing import Any
 
 import yaml
 
+from foundation.errors import known
 from foundation.settings import Settings, Text
-from siamloc.errors import ConfigError, hint
-
-Entry = TypeVar("Entry")
 
 _NUMBER = re.compile(r"([~<>]?)(-?\d+(?:\.\d+)?)")
 _ORDER: Mapping[str, Sequence[Any]] = {
@@ -144,12 +142,13 @@ def published(id: str) -> Published:
         >>> published("table_5_17").records()[0].settings["same_share"]
         0.8
     """
-    entry = named({one["id"]: one for one in contents("published")["published"]}, id, "published table")
-    known, listed = contents("published")["settings"], [column["name"] for column in entry["columns"]]
+    entries = {one["id"]: one for one in contents("published")["published"]}
+    entry, settings = entries[known(id, entries, "published table")], contents("published")["settings"]
+    listed = [column["name"] for column in entry["columns"]]
     rows = [row if isinstance(row, dict) else dict(zip(listed, row, strict=True)) for row in entry["rows"]]
     further = dict.fromkeys(name for row in rows for name in row if name not in listed)  # settings of only a few rows
     columns = [*entry["columns"], *({"name": name} for name in further)]
-    columns = [{**known.get(column["name"], {}), **column} for column in columns]
+    columns = [{**settings.get(column["name"], {}), **column} for column in columns]
     return Published.of({**entry, "columns": columns, "rows": rows})
 
 
@@ -200,22 +199,6 @@ def contents(name: str) -> dict[str, Any]:
     """Return the contents of a YAML file of this package: "published", "claims" or "study_book"; read once."""
     found: dict[str, Any] = yaml.safe_load(Path(__file__).with_name(f"{name}.yaml").read_text(encoding="utf-8"))
     return found
-
-
-def named(known: Mapping[str, Entry], id: str, what: str) -> Entry:
-    """Return an entry of a list by its id.
-
-    Args:
-        known: the entries by id.
-        id: id of the entry.
-        what: noun for an entry in the error message, such as "claim".
-
-    Raises:
-        ConfigError: an unknown id; the message names similar ones.
-    """
-    if id not in known:
-        raise ConfigError(f"there is no {what} {id!r}; {hint(id, known)}")
-    return known[id]
 
 
 def _setting(cell: Any, column: Column, factors: Mapping[str, float | None]) -> Any:

@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from foundation.calls import typed
+from foundation.errors import known
 from foundation.settings import Settings, Text
 from siamloc.errors import ConfigError
-from siamloc.reproduce.published import Source, contents, named
+from siamloc.reproduce.published import Source, contents
 
 Scale = Literal["smoke", "short", "full"]
 """From seconds on a small building, through minutes to hours, to the published experiments."""
@@ -181,15 +182,15 @@ def study(id: str) -> Study:
         >>> study("figure_3_19").id
         'figure_3_17'
     """
-    known, nothing = {one.id: one for one in studies()}, without_measurement()
-    covering = {covered: one.id for one in known.values() for covered in one.covers}
+    every, nothing = {one.id: one for one in studies()}, without_measurement()
+    covering = {covered: one.id for one in every.values() for covered in one.covers}
     if id in nothing:
         raise ConfigError(f"there is nothing to measure for {id}: it {nothing[id]}")
-    if id not in known and id not in covering:
-        near = [repr(one) for one in get_close_matches(str(id), [*known, *covering, *nothing], n=3, cutoff=0.5)]
+    if id not in every and id not in covering:
+        near = [repr(one) for one in get_close_matches(str(id), [*every, *covering, *nothing], n=3, cutoff=0.5)]
         asked = f"did you mean {' or '.join(near)}? " if near else ""
         raise ConfigError(f"there is no study {id!r}; {asked}`siamloc reproduce --list` lists all")
-    return known[covering.get(id, id)]
+    return every[covering.get(id, id)]
 
 
 def without_measurement() -> Mapping[str, str]:
@@ -210,7 +211,8 @@ def experiment(id: str) -> Experiment:
     Raises:
         ConfigError: an unknown id.
     """
-    return Experiment.of(named({one["id"]: one for one in contents("study_book")["experiments"]}, id, "experiment"))
+    every = {one["id"]: one for one in contents("study_book")["experiments"]}
+    return Experiment.of(every[known(id, every, "experiment")])
 
 
 def seconds_of(job: Job, scale: str) -> float:
