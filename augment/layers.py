@@ -142,7 +142,15 @@ class Vignette(Layer):
         return (1 + values["fall"] * square) ** -2
 
 
-class Shadow(Layer):
+class AroundColumn(Layer):
+    """A layer whose middle is a column that is drawn for each frame."""
+
+    def places(self, height: int, width: int) -> dict[str, Range]:
+        """Return the range of `column`, the column in the middle of the layer."""
+        return {"column": Range(0, width - 1, whole=True)}
+
+
+class Shadow(AroundColumn):
     """The soft-edged shadow of something large: a half-space of viewing directions loses light.
 
     I' = I (1 - depth S(e / softness + 1/2)), with e = n . d - offset, d the unit viewing direction of the pixel, n
@@ -166,10 +174,6 @@ class Shadow(Layer):
         "offset": Range(-0.2, 0.6, minimum=-1, maximum=1),
     }
 
-    def places(self, height: int, width: int) -> dict[str, Range]:
-        """Return the range of `column`, the column in the middle of the shadow."""
-        return {"column": Range(0, width - 1, whole=True)}
-
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
         """Return the direction of the shadow, and `steep` and `lift` of the smooth step's argument steep e + lift."""
         tilt, steep = np.radians(params["tilt"]), 1 / params["softness"]
@@ -188,7 +192,7 @@ class Shadow(Layer):
         return 1 - values["depth"] * _smooth(step)
 
 
-class SunPatch(Layer):
+class SunPatch(AroundColumn):
     """Sunlight through a window onto the floor: a bright quadrangle with the shadow of the window's crossing bars.
 
     I'_k = I_k (1 + (gain - 1) sun_k M), sun the warm colour of the light. A pixel at the angle a below the horizon
@@ -214,10 +218,6 @@ class SunPatch(Layer):
         "turn": Range(-60, 60, minimum=-180, maximum=180),
         "horizon": Range(0.5, 0.5, minimum=0, maximum=1),
     }
-
-    def places(self, height: int, width: int) -> dict[str, Range]:
-        """Return the range of `column`, the column of the patch's middle."""
-        return {"column": Range(0, width - 1, whole=True)}
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
         """Return the row that looks straight down, and the place and axes of the patch, in units of its half sizes.

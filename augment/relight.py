@@ -19,7 +19,7 @@ from torch import Tensor
 
 from augment.base import Effect, Numbers, Params
 from augment.brushes import Brush, Frame
-from augment.layers import Layer, start_of
+from augment.layers import AroundColumn, start_of
 from augment.ranges import Range
 
 Floats = NDArray[np.float32]
@@ -32,7 +32,7 @@ _SOFT = 0.01  # half width of a sector's soft edge, in widths of the frame
 _WHITE = 3 * 255
 
 
-class Relight(Layer):
+class Relight(AroundColumn):
     """Light from elsewhere: a gain that changes slowly over all directions, and its colour with it.
 
     I'_k = I_k 2^(s_k / 2.2), with the stops
@@ -59,7 +59,7 @@ class Relight(Layer):
         """Return the ranges of the column, and of the phase in rad and the tilt of each wave."""
         phases = {name: Range(-pi, pi, minimum=-2 * pi, maximum=2 * pi) for name in _PHASES}
         tilts = {name: Range(-0.8, 0.8, minimum=-1, maximum=1) for name in _TILTS}
-        return {"column": Range(0, width - 1, whole=True), **phases, **tilts}
+        return {**super().places(height, width), **phases, **tilts}
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
         """Return each wave's phase, weight and tilt, and slope and warmth, as binary logarithms of pixel gains."""
@@ -96,7 +96,7 @@ class Relight(Layer):
         return level, slope, torch.exp2(values["warmth"] * azimuth.cos())
 
 
-class Doorway(Layer):
+class Doorway(AroundColumn):
     """A sector of the view is lit differently, like a room seen through a door: I' = I 2^(stops / 2.2) in it.
 
     Args:
@@ -109,10 +109,6 @@ class Doorway(Layer):
         "stops": Range(-2.5, 2.5, minimum=-8, maximum=8, neutral=0),
         "share": Range(0.05, 0.5, minimum=0.001, maximum=1),
     }
-
-    def places(self, height: int, width: int) -> dict[str, Range]:
-        """Return the range of `column`, the column in the middle of the sector."""
-        return {"column": Range(0, width - 1, whole=True)}
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
         """Return the gain minus 1, and the distance from the middle, in columns, at which the soft edge ends."""

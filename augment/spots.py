@@ -13,7 +13,7 @@ from torch import Tensor
 
 from augment.base import Effect, Numbers
 from augment.errors import AugmentError
-from augment.layers import Layer, start_of
+from augment.layers import AroundColumn, start_of
 from augment.ranges import Range
 from foundation.errors import hint
 
@@ -26,7 +26,7 @@ _SPOT = {
 }
 
 
-class Spot(Layer):
+class Spot(AroundColumn):
     """A patch of light or shadow that fades from its centre to its rim.
 
     I' = I +- a(rho), with a(rho) = c + (rim - c) rho for rho <= 1 and 0 beyond; rho is 0 at the centre and 1 at the
@@ -54,7 +54,7 @@ class Spot(Layer):
         """Return the ranges of the centre's column and row, and of `light`: 1 for a light spot, 0 for a dark one."""
         low, high, neutral = {"light": (1, 1, None), "dark": (0, 0, None), "any": (0, 1, 0.5)}[self.options["tone"]]
         return {
-            "column": Range(0, width - 1, whole=True),
+            **super().places(height, width),
             "row": Range(0, height - 1, whole=True),
             "light": Range(low, high, minimum=0, maximum=1, neutral=neutral, whole=True),
         }
