@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analytic.arrays import Integers
 from foundation.files import write_json
@@ -53,6 +54,17 @@ def edges(labels: Integers) -> dict[tuple[int, int], int]:
     assigned = labels[labels >= 0]
     pairs = zip(assigned[:-1].tolist(), assigned[1:].tolist(), strict=True)
     return dict(Counter((min(a, b), max(a, b)) for a, b in pairs if a != b))
+
+
+def connections(labels: Integers, sequence: NDArray[Any]) -> Integers:
+    """Return the pairs of nodes (e, 2) between which the robot moved, the smaller node first; each pair once.
+
+    Args:
+        labels: (n,) as in `edges`.
+        sequence: (n,) name of each frame's sequence; moves between sequences do not count.
+    """
+    pairs = {pair for name in np.unique(sequence) for pair in edges(labels[sequence == name])}
+    return np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2)
 
 
 def loops(labels: Integers, matches: Integers) -> list[tuple[int, int]]:

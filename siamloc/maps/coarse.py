@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic.mapper.graph import edges
+from analytic.mapper.graph import connections
 from foundation.arrays import read_headed, write_arrays
 from foundation.calls import typed
 from siamloc.errors import DataError, FormatError
@@ -69,7 +69,7 @@ class CoarseLayer:
             or self.classifier.weight.shape[1] != self.representatives.shape[1]
         ):
             raise DataError("the classifier of a coarse layer has a class for each node, and reads its descriptors")
-        for name in ("labels", "representatives", "positions", "names", "edges"):
+        for name in _ARRAYS:
             array = np.array(getattr(self, name))
             array.flags.writeable = False
             object.__setattr__(self, name, array)
@@ -172,14 +172,3 @@ def numbered(places: NDArray[Any], names: Sequence[Any]) -> NDArray[np.int64]:
     """Return the number of each place (n,) among the names of nodes; UNASSIGNED for a place that is no node."""
     number = {name: node for node, name in enumerate(names)}
     return np.array([number.get(place, UNASSIGNED) for place in places.tolist()], dtype=np.int64)
-
-
-def connections(labels: NDArray[np.int64], sequence: NDArray[np.str_]) -> NDArray[np.int64]:
-    """Return the pairs of nodes (e, 2) between which the robot moved, the smaller node first; each pair once.
-
-    Args:
-        labels: (n,) node of each frame in capture order, negative for frames in no node, which are skipped.
-        sequence: (n,) name of each frame's sequence; moves between sequences do not count.
-    """
-    pairs = {pair for name in np.unique(sequence) for pair in edges(labels[sequence == name])}
-    return np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2)

@@ -12,7 +12,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike, NDArray
 
-from analytic.mapper.graph import edges
+from analytic.mapper.graph import connections
 from siamloc.data.occupancy import OccupancyMap
 from siamloc.errors import FormatError
 from siamloc.report.draw.floor_plan import add_occupancy, along, surroundings
@@ -90,7 +90,7 @@ def node_plan(
     try:
         xy, node, closing = np.column_stack([frames["x"], frames["y"]]), frames["node"], frames["closes_with"]
         places = np.column_stack([nodes["x"], nodes["y"]])
-        edges = _passages(node, frames["sequence"])
+        edges = connections(node, frames["sequence"])
         radius, unit, title = float(measures["closures"]["radius"]), measures["unit"], _title(measures, name)
     except KeyError as error:
         raise FormatError(
@@ -103,12 +103,6 @@ def node_plan(
     xy, node = xy[placed], node[placed]
     colours = node_colours(neighbouring(xy, node, edges), range(len(places)))
     return NodePlan(xy, node, places, edges, closures, radius, colours, unit, title, occupancy)
-
-
-def _passages(node: NDArray[np.int64], sequence: NDArray[np.str_]) -> NDArray[np.int64]:
-    """Return the pairs of nodes (e, 2) that the robot moved between in a drive; frames in no node are skipped."""
-    pairs = {pair for name in np.unique(sequence) for pair in edges(node[sequence == name])}
-    return np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2)
 
 
 @style()

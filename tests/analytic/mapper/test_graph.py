@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from analytic.mapper.graph import coordinates, edges, loops
+from analytic.mapper.graph import connections, coordinates, edges, loops
 from foundation.errors import StorageError
 from tests.analytic.mapper.world import POSES, mapped
 
@@ -19,6 +19,11 @@ def test_edges_are_counted_between_frames_with_a_node():
 def test_a_loop_is_a_match_with_another_node_between():
     assert loops(LABELS, MATCHES) == [(8, 2), (10, 6)]
     assert loops(np.empty(0, dtype=int), np.empty(0, dtype=int)) == []
+
+
+def test_sequences_are_not_connected_with_each_other():
+    assert connections(np.array([0, 0, 1, 1]), np.array(["s", "s", "t", "t"])).tolist() == []
+    assert connections(np.array([0, -1, 1, 0]), np.array(["s"] * 4)).tolist() == [[0, 1]]
 
 
 @pytest.mark.parametrize(

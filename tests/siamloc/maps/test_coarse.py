@@ -7,7 +7,7 @@ import analytic
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps import Built, CoarseLayer, VisualMap, group
-from siamloc.maps.coarse import UNASSIGNED, connections
+from siamloc.maps.coarse import UNASSIGNED
 from siamloc.maps.grouping import IncrementalSparse
 
 RNG = np.random.default_rng(2)
@@ -29,11 +29,6 @@ def test_a_layer_of_labels_has_their_means_and_connections():
         np.testing.assert_allclose(layer.positions[node, 0], np.flatnonzero(labels == node).mean())
     assert layer.edges.tolist() == [[0, 1], [0, 2], [1, 2]]
     assert not layer.labels.flags.writeable
-
-
-def test_sequences_are_not_connected_with_each_other():
-    assert connections(np.array([0, 0, 1, 1]), np.array(["s", "s", "t", "t"])).tolist() == []
-    assert connections(np.array([0, -1, 1, 0]), np.array(["s"] * 4)).tolist() == [[0, 1]]
 
 
 def test_rooms_are_nodes_and_frames_without_one_are_in_none():
