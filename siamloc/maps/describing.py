@@ -85,20 +85,16 @@ def build(
     """
     by = descriptor_from(described_by, circular=images.circular, device=device)
     second = None if heading is None else descriptor_from(heading, circular=images.circular, device=device)
-    if second is not None and not images.circular:
+    turned = [f"heading={second.name}"] if second is not None else []
+    turned += [f"mounting.yaw={mounting.yaw:g}"] if mounting is not None and mounting.yaw else []
+    if turned and not images.circular:
         raise ConfigError(
-            f"heading={second.name} needs columns that are a full turn, and circular=false says that they are not: "
-            "leave heading out"
+            f"{turned[0]} needs columns that are a full turn, and circular=false says that they are not: leave it out"
         )
     if second is not None and (by.aligned or second.name not in HEADINGS):
         raise ConfigError(
             f"{second.name} cannot find the headings of a map by {by.name}: the descriptors {', '.join(HEADINGS)} can, "
             "in a map whose descriptors are not turned before they are compared"
-        )
-    if mounting is not None and mounting.yaw and not images.circular:
-        raise ConfigError(
-            f"mounting.yaw={mounting.yaw:g} needs columns that are a full turn, and circular=false says that they are "
-            "not: leave it out"
         )
     _check_elevations(by, images)
     if not len(frames):
