@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
-from augment.base import Effect
+from augment.base import Effect, seeded
 from foundation.settings import Settings
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
@@ -60,8 +60,7 @@ class BatchAugmentation(Settings):
             mine: the images, among these, whose parameters are returned; all by default.
         """
         whole = torch.empty((images, *image_shape), dtype=torch.uint8, device="meta")  # for its shape only
-        words = np.random.SeedSequence([self.seed, *stream]).generate_state(1, np.uint64)
-        drawn = self.effect.draw(torch.Generator().manual_seed(int(words[0] >> np.uint64(1))), whole)
+        drawn = self.effect.draw(seeded(self.seed, *stream), whole)
         return {name: value[mine] for name, value in drawn.items()}
 
     def add(
