@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from foundation.columns import spread_rows
-from foundation.settings import as_words
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSettings
@@ -41,6 +40,7 @@ from siamloc.progress import shown
 from siamloc.runs import Run
 from siamloc.training.batches import BatchAugmentation
 from siamloc.training.callbacks import AtomicCheckpoints
+from siamloc.training.run_folder import stopped
 from siamloc.training.settings import Training
 
 _FRAMES = 50  # at least
@@ -181,10 +181,7 @@ class Adapting:
             check = self._checked(network, images, change, _weights(load(run, which="last", network=network)))
         except KeyboardInterrupt as error:
             network.load_state_dict(self.before)
-            named = as_words({"run": run.folder})
-            text = f"stopped during the check, which has kept nothing: go on with resume=true, {named}"
-            print(text, file=sys.stderr, flush=True)
-            raise KeyboardInterrupt(text) from error
+            raise stopped(run, "during the check, which has kept nothing") from error
         if not writes:
             return
         kept, errors = check["kept"], dict(zip(check["shares"], check["errors"], strict=True))

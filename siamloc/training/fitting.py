@@ -19,7 +19,6 @@ from augment.base import on_host
 from foundation.calls import OF_FIELDS, takes
 from foundation.files import plain
 from foundation.locks import alone
-from foundation.settings import as_words
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSettings
@@ -58,6 +57,7 @@ from siamloc.training.run_folder import (
     note_frames,
     open_run,
     progress,
+    stopped,
 )
 from siamloc.training.settings import Training
 from siamloc.training.stopping import StepCheckpoints, first_interrupt_asks, interrupts_raised, sigterm_ends_the_start
@@ -378,10 +378,7 @@ def _train(trainer: Trainer, module: NetworkModule, data: EpochDataModule, run: 
             raise
         done, more = progress(run)
         within = f" and {more} of {trainer.num_training_batches} steps" if more else ""
-        named = as_words({"run": run.folder})
-        text = f"stopped after {done} of {trainer.max_epochs} epochs{within}: go on with resume=true, {named}"
-        print(text, file=sys.stderr, flush=True)
-        raise KeyboardInterrupt(text) from error
+        raise stopped(run, f"after {done} of {trainer.max_epochs} epochs{within}") from error
     except Exception:
         if start is None and process_rank() == 0 and not any(run.checkpoints.glob("*.ckpt")):
             run.discard()  # a loss that fails at once must not block the folder for the next call

@@ -14,7 +14,7 @@ import numpy as np
 from foundation.columns import spread_rows
 from foundation.files import check_writable, content_key, is_temporary
 from foundation.locks import LOCK
-from foundation.settings import leaves
+from foundation.settings import as_words, leaves
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
@@ -180,6 +180,13 @@ def progress(run: Run) -> tuple[int, int]:
     if EPOCH_SUMS not in content:
         return int(content["epoch"]) + 1, 0
     return int(content["epoch"]), int(content["loops"]["fit_loop"]["epoch_loop.batch_progress"]["current"]["processed"])
+
+
+def stopped(run: Run, when: str) -> KeyboardInterrupt:
+    """Print how to go on with a training that the user stopped, and return the exception that ends it."""
+    text = f"stopped {when}: go on with resume=true, {as_words({'run': run.folder})}"
+    print(text, file=sys.stderr, flush=True)
+    return KeyboardInterrupt(text)
 
 
 def open_run(run: Run, used: Mapping[str, Any], *, resume: bool, validated: bool) -> None:
