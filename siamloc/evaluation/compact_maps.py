@@ -106,7 +106,10 @@ def compact(
     scored = session.queries.take(session.queries.has_position)
     for has, what in ((placed, "map frames"), (session.queries.has_position, "queries")):
         session.leave_out(has, f"{what} have no position", f"compact, {what}", ": add x and y to the data")
-    _check(settings, known, clusters)
+    if max(settings.nodes) > len(known):
+        raise ConfigError(f"task.nodes asks for {max(settings.nodes)} nodes, and the map has {len(known)} frames")
+    for one in (known, clusters) if set(settings.ways) != {"sample"} else ():
+        check_means(one, "use task.ways=[sample], or another descriptor")
     clock = Stopwatch()
     described = Description.concatenate(list(session.parts_of(known, scored, f"the queries, {session.name}", clock)))
     asked = [(way, nodes) for way in settings.ways for nodes in settings.nodes]
@@ -141,13 +144,6 @@ def compact(
         cost=cost(known, clock),
     )
     return session.finished(result, settings, clustered_descriptor=clusters.descriptor.identity)
-
-
-def _check(settings: Compact, known: VisualMap, clusters: VisualMap) -> None:
-    if max(settings.nodes) > len(known):
-        raise ConfigError(f"task.nodes asks for {max(settings.nodes)} nodes, and the map has {len(known)} frames")
-    for one in (known, clusters) if set(settings.ways) != {"sample"} else ():
-        check_means(one, "use task.ways=[sample], or another descriptor")
 
 
 def _errors(lighting: str, answers: Columns, rows: NDArray[np.int64]) -> dict[str, Any]:
