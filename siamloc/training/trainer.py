@@ -57,8 +57,7 @@ def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None,
     guard = FiniteGuard()
     checked = getattr(settings.pairs, "by", None) == "steps"
     curves = Curves(run, monitor, pace, settings.patience, checked=checked)
-    own_callbacks = [_Seeds(settings.seed), guard, pace, curves]
-    callbacks = [*listed(options.pop("callbacks", None)), *own_callbacks]
+    callbacks = [*listed(options.pop("callbacks", None)), _Seeds(settings.seed), guard, pace, curves]
     steps = StepCheckpoints(run.checkpoints / "last.ckpt", settings.checkpoint_every, guard)
     if settings.average is not None:
         callbacks.append(MovingAverage(decay=settings.average))
