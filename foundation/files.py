@@ -386,6 +386,14 @@ def content_key(value: Any, length: int = 16) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:length]
 
 
+def expanded(path: str | Path) -> Path:
+    """Return a path with the home folder in place of `~`; names that begin with ~ and are no user's stay."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:
+        return Path(path)
+
+
 def real_path(path: str | Path) -> Path:
     """Return an absolute path with all links resolved; circular links stay as they are."""
     return Path(os.path.realpath(path))

@@ -32,7 +32,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from foundation.errors import ConfigError, hint
-from foundation.files import plain
+from foundation.files import expanded, plain
 
 Result = TypeVar("Result")
 Kind = TypeVar("Kind", bound="Settings")
@@ -258,7 +258,7 @@ def _in_words(value: Any, bare: bool = True) -> str:
     text = str(value)
     if bare and _BARE.fullmatch(text) and not _NO_TEXT.fullmatch(text):
         return text
-    return quoted(re.sub(r"(\\*)\$\{", r"\1\1\\${", text))
+    return quoted(text)
 
 
 _BARE = re.compile(r"[\w./:@%*?+-]([\w ./:@%*?+-]*[\w./:@%*?+-])?")
@@ -269,9 +269,10 @@ _NO_TEXT = re.compile(r"None|(?i:null|true|false|[+-]?(nan|inf|[\d_.]+(e[+-]?[\d
 def quoted(text: object) -> str:
     """Quote a text so that a command line reads it as one value, whatever characters it holds.
 
-    Backslashes are doubled only before a quote, as Hydra reads them.
+    Backslashes are doubled only before a quote, as Hydra reads them, and before what would name another value.
     """
-    return '"' + re.sub(r'(\\+)(?="|\Z)', r"\1\1", str(text)).replace('"', '\\"') + '"'
+    text = re.sub(r"(\\*)\$\{", r"\1\1\\${", str(text))
+    return '"' + re.sub(r'(\\+)(?="|\Z)', r"\1\1", text).replace('"', '\\"') + '"'
 
 
 def unquoted(text: str) -> str:
@@ -401,7 +402,7 @@ def _fit_plain(value: Any, kind: Any) -> tuple[bool, Any]:
     if kind is float:
         return isinstance(value, int | float) and not _beyond(value), value
     if kind is Path and isinstance(value, str):
-        return bool(value.strip()), Path(value).expanduser()
+        return bool(value.strip()), expanded(value)
     return not isinstance(kind, type) or isinstance(value, kind), value
 
 

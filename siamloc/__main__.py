@@ -14,7 +14,8 @@ def entry() -> NoReturn:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by the shell, as by >&-
             setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115 (until the end)
-        getattr(sys, name).reconfigure(errors="backslashreplace")  # for names with letters that a terminal lacks
+        if getattr(stream := getattr(sys, name), "errors", "") == "strict":  # for letters that a terminal lacks
+            stream.reconfigure(errors="backslashreplace")
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, stop_once)
         hear_again()

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foundation.calls import typed
-from foundation.files import write_text
+from foundation.files import expanded, write_text
 from foundation.settings import leaves, within
 from siamloc.errors import ConfigError
 from siamloc.tables import Column, Table
@@ -159,7 +159,7 @@ def files_named(folders: str | Path | Iterable[str | Path], name: str) -> list[P
     if not several:
         raise ConfigError("nothing to compare: name the folder of a sweep, or several folders")
     found: dict[Path, None] = {}
-    for folder in (Path(one).expanduser() for one in several):
+    for folder in (expanded(one) for one in several):
         if not folder.is_dir():
             raise ConfigError(f"there is no folder {folder}: name that of a sweep, such as runs/sweep")
         found |= dict.fromkeys(sorted(folder.rglob(name)))

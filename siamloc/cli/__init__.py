@@ -11,6 +11,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
+from pathlib import Path
 
 from foundation.extras import lacking
 from foundation.settings import quoted, unquoted
@@ -81,7 +82,7 @@ def _dispatch(words: list[str]) -> int:
 
     if key := kind.ALONE:
         overrides = ["list=true" if word == "--list" else word for word in overrides]
-        alone = [word for word in overrides if not word.startswith("-") and "=" not in word]
+        alone = [word for word in overrides if not word.startswith("-") and ("=" not in word or Path(word).exists())]
         if len(alone) > 1:
             raise ConfigError(f"siamloc {command} takes one {key}, got {' '.join(alone)}: run it once for each")
         overrides = [f"{key}={quoted(unquoted(word))}" if word in alone else word for word in overrides]
@@ -116,7 +117,7 @@ def _sentence(error: Exception, words: list[str]) -> str | None:
         from siamloc import checkup
 
         return lacking(error, "simulate" if words[0] in checkup.COMMANDS["simulate"] else "train")
-    if isinstance(error, FileNotFoundError) and error.filename is None:  # of os.getcwd
+    if isinstance(error, FileNotFoundError) and error.errno and error.filename is None:  # of os.getcwd
         return "the current folder was removed: change to another one"
     if isinstance(error, OSError) and error.filename is not None and error.strerror:
         return f"{error.filename} cannot be used: {error.strerror.lower()}"

@@ -13,6 +13,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from foundation.extras import installing
+from foundation.files import expanded
 from foundation.settings import merged, quoted, unquoted
 from siamloc.cli.help import job_of
 from siamloc.cli.overrides import flags_first, key_of, meant, only_of_others, together
@@ -272,7 +273,7 @@ def _sweep(command: str, words: list[str]) -> list[str]:
     fixed = [override.key_or_group for override in overrides if override.key_or_group not in swept]
     trains = command in ("train", "pretrain")
     said = [unquoted(word.partition("=")[2]) for word in words if word.startswith("run=") and "run" in fixed]
-    folder = said[0] if said and said[0] not in ("", "null") else "runs/sweep"
+    folder = str(expanded(said[0])) if said and said[0] not in ("", "null") else "runs/sweep"
     settings = [
         f"hydra.sweep.dir={quoted(folder if trains else f'{folder}/multirun/{command}')}",
         f"hydra.job.config.override_dirname.exclude_keys=[{','.join(map(quoted, fixed))}]",

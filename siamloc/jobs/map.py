@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from analytic.mapper import IncrementalMapper
 from foundation.files import check_writable
 from foundation.settings import as_words, defaults_of
 from siamloc import maps
-from siamloc.errors import ConfigError
+from siamloc.errors import ConfigError, SiamlocError
 from siamloc.jobs.choices import OF_A_RUN, Choice
 from siamloc.jobs.job import Given, Say, quiet
 from siamloc.jobs.options import choices, is_fused, option
@@ -21,6 +22,7 @@ from siamloc.jobs.run_job import RunJob, files_in
 from siamloc.jobs.stored import map_places, titles_of
 from siamloc.jobs.sweep import swept
 from siamloc.maps import Built, Refinement, VisualMap
+from siamloc.maps.history import UPKEEP
 from siamloc.maps.maintenance import Maintenance
 from siamloc.runs import Run
 from siamloc.runtime.bundle import THUMBNAILS
@@ -102,6 +104,14 @@ class MapFrames(RunJob):
             return self._maintained(say)
         run, label, target = self.here, self.descriptor.title, map_places(self.here, self.titles)[0]
         check_writable(target)  # as all that follows, before any image is decoded
+        held: Mapping[str, Any] = {}
+        with suppress(SiamlocError):  # another version, or a damaged map, is replaced
+            held = VisualMap.load(target).made if target.is_file() else {}
+        if UPKEEP in held:
+            raise ConfigError(
+                f"{target} holds what updates added and counted, which a new map would lose: remove the file first, or "
+                "choose another run="
+            )
         described, heading = self.make_descriptor(), self.make_heading(say)
         images, roles = self.open_roles("map", *self.learned_from)
         made = {"role": self.protocol.map.plain()}
@@ -152,9 +162,10 @@ class MapFrames(RunJob):
         if over:
             other = min(over)
             name = other.relative_to(self.here.folder / "layers").parts[0].removeprefix(f"{label}-")
+            update = f"update them as well, with `siamloc map build={name} update.sequences=[...]`, or "
             raise ConfigError(
-                f"{other} holds nodes over this map, which would not fit the map after an update: update them as well, "
-                f"with `siamloc map build={name} update.sequences=[...]`, or remove the folder"
+                f"{other} holds nodes over this map, which would not fit the map after an update: "
+                f"{update if built is None else ''}remove the folder"
             )
         frames = self.data.read()
         known.check_frames(frames, whole=False)

@@ -14,7 +14,7 @@ from foundation.settings import within
 
 Choice = Callable[[str], bool]
 _MOST_BYTES = 150  # in a folder name; file systems allow 255
-_UNUSUAL = re.compile(r"[^\w.+/=\[\]'\",:*-]")
+_UNUSUAL = re.compile(r"[^\w.+/=\[\]'\",-]")
 """A symbol that values may differ in alone, such as the brackets of "Tag (1)"."""
 _OF_MAPS = (
     "data",
@@ -77,6 +77,7 @@ def sweep_suffix(wanted: Choice | None = None) -> str:
         text = name
     if unusual or len(name.encode()) > _MOST_BYTES:
         start = name.encode()[:_MOST_BYTES].decode(errors="ignore")
+        text = text.replace("'", "").replace('"', "")
         name = f"{start}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
     return name
 

@@ -193,9 +193,16 @@ def _numbered(building: NDArray[np.str_]) -> NDArray[np.int64]:
 
 
 def nearest(known: FrameTable, drive: FrameTable) -> NDArray[np.int64]:
-    """Return the row of the nearest map frame that has a position, for each frame of a drive (n,)."""
-    found = [int(np.nanargmin(np.square(known.xy - here).sum(axis=1))) for here in drive.xy]
-    return np.array(found, dtype=np.int64)
+    """Return the row of the nearest map frame that has a position, for each frame of a drive (n,).
+
+    Of the frame's own building, where the map has frames of it.
+    """
+    found = np.zeros(len(drive), dtype=np.int64)
+    for row, (here, building) in enumerate(zip(drive.xy, drive.building, strict=True)):
+        own = known.has_position & (known.building == building)
+        apart = np.square(known.xy - here).sum(axis=1)
+        found[row] = np.nanargmin(np.where(own, apart, np.nan) if own.any() else apart)
+    return found
 
 
 def compared_nearby(

@@ -336,8 +336,9 @@ class VisualMap:
             raise DataError("a map with headings and one without, or with headings found otherwise, cannot be merged")
         if self.mounting != other.mounting:
             raise ConfigError(
-                f"the cameras of the maps are mounted differently, {self.mounting} and {other.mounting}: make the "
-                "other map with mounting=known.mounting"
+                f"the cameras of the maps are mounted differently, {self.mounting} and {other.mounting}: if they are "
+                "not, make the other map with mounting=known.mounting; if they are, turn its panoramas where they are "
+                "unwrapped"
             )
         oriented = [one.orientation for one in (self, other) if one.orientation is not None]
         parts = np.concatenate(oriented) if oriented else None

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.calls import typed
-from foundation.files import atomic_path, csv_text, plain
+from foundation.files import atomic_path, csv_text, expanded, plain
 from siamloc.data.films import Film, quiet
 from siamloc.data.frames import VIDEOS
 from siamloc.data.image_files import UnreadableImageError, image_files
@@ -172,7 +172,7 @@ def named(images: str | Path | Sequence[str | Path]) -> list[tuple[str, list[Pat
         ConfigError: no names.
         DataError: a file that does not exist, or a folder without images.
     """
-    names = [Path(one).expanduser() for one in ([images] if isinstance(images, (str, Path)) else images)]
+    names = [expanded(one) for one in ([images] if isinstance(images, (str, Path)) else images)]
     if not names:
         raise ConfigError("no images given: name files, folders, videos or cameras, images=[a.jpeg,folder,camera:0]")
     return [(str(name), _files(name)) for name in names]

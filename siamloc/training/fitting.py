@@ -46,7 +46,7 @@ from siamloc.training.checks import (
     monitored,
     usable,
 )
-from siamloc.training.loggers import begin_records, listed, log_settings
+from siamloc.training.loggers import begin_records, listed, log_settings, remove_records
 from siamloc.training.pair_batches import PairDataModule
 from siamloc.training.place_batches import PlaceDataModule, rooms_of, validation_drive
 from siamloc.training.run_folder import (
@@ -236,7 +236,12 @@ def learn(
             check_same_training(run, plain(used), settings.epochs)
             if last.is_file():
                 check_architecture(last, module)
-        begin_records(lightning.loggers)
+        try:
+            begin_records(lightning.loggers)
+        except BaseException:
+            if first and not run.record.is_file():
+                remove_records(run)
+            raise
         if first:
             open_run(run, used, resume=resume, validated=monitor is not None)
             model = content["model"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -83,6 +84,12 @@ def begin_records(loggers: list[Logger]) -> None:
     for logger in loggers:
         if isinstance(logger, WandbLogger | MLFlowLogger):
             _ = logger.experiment
+
+
+def remove_records(run: Run) -> None:
+    """Remove what loggers left in the folder of a run that did not begin."""
+    for name in LOGGERS:
+        shutil.rmtree(run.folder / name, ignore_errors=True)
 
 
 @_starting()

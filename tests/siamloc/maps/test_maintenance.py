@@ -480,6 +480,8 @@ def test_the_command_takes_drives_together_and_in_tables_of_their_own(drives, tm
     done("map", *common, table(*DRIVES), "update.sequences=[later,same]", "update.forget=2")
     said, (saved,) = capsys.readouterr().out, tmp_path.glob("run/evaluation/hog/map.npz")
     assert f"picture: {saved.with_name('staleness.png')}" in said
+    again = refused(capsys, "map", *common, table("old"), "protocol.map.sequences=['*']")
+    assert "holds what updates added and counted, which a new map would lose: remove the file first" in again
     refined = "task.refine=interpolate thumbnails=true"  # as the bundle has
     assert said.splitlines()[-1] == f"next: siamloc export run={tmp_path / 'run'} {refined} descriptor=hog"
     known = VisualMap.load(saved)
