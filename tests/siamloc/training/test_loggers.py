@@ -72,21 +72,26 @@ def test_tensorboard_gets_the_settings_and_the_worst_queries_and_none_writes_not
 
 
 class Refused(MLFlowLogger):
-    """A logger whose server refuses it."""
+    """A logger whose server refuses it after a file was written."""
 
-    def __init__(self):
-        self._initialized = False
+    def __init__(self, folder):
+        self._initialized, self._folder = False, folder
 
     @property
     def experiment(self):
+        self._folder.mkdir(parents=True, exist_ok=True)
+        (self._folder / "run.wandb").touch()
         raise PermissionError("no key is configured")
 
 
-def test_a_logger_that_cannot_start_leaves_the_run_as_it_was(train):
+def test_a_logger_that_cannot_start_leaves_the_run_as_it_was(train, tmp_path):
+    with pytest.raises(ConfigError, match="a logger of the trainer cannot start: PermissionError: no key is"):
+        train(Refused(tmp_path / "run/wandb"))
     run = train(False)
+    assert not (run.folder / "wandb").exists()
     before = {path: path.stat().st_mtime_ns for path in run.folder.rglob("*")}
     with pytest.raises(ConfigError, match="a logger of the trainer cannot start: PermissionError: no key is"):
-        train(Refused())
+        train(Refused(tmp_path / "server"))
     assert {path: path.stat().st_mtime_ns for path in run.folder.rglob("*")} == before
 
 
