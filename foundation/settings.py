@@ -353,7 +353,7 @@ def _fit(value: Any, kind: Any) -> tuple[bool, Any]:
             return False, value  # without a list of all its pixels
         value = value.tolist()
     if origin is Literal:
-        return isinstance(value, str | int) and not isinstance(value, bool) and value in parts, value
+        return any(type(value) is type(part) and value == part for part in parts), value
     if origin in _LISTS:
         return _fit_list(value, origin, parts)
     if origin in (dict, Mapping) or kind in (dict, Mapping):

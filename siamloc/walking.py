@@ -39,7 +39,7 @@ from siamloc.report import write_report
 from siamloc.report.draw.survey import save_survey
 from siamloc.runs import Run
 from siamloc.runtime import Bundle
-from siamloc.runtime.exportable import check_counted
+from siamloc.runtime.exportable import check_counted, check_not_updated
 
 _NETWORK = "pretrained"
 _LOOKED_AT, _SWAYS = 40, 1.0  # pictures, and the tilt in degrees from which on each is levelled
@@ -134,6 +134,7 @@ def walk(
     say = partial(_say, say, lines)
     if not overwrite:
         check_counted(Run(folder).bundle, None)
+        check_not_updated(Run(folder).evaluation(_NETWORK) / "map.npz")
     if not writes_camera(folder / "frames", settings.unwrap):
         Preprocessing.checked(PRETRAINED_SIZE, settings.unwrap)  # before the long work
     frames = extract(file, folder / "frames", second=settings.unwrap.get("second"), settings=settings.recording)

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
-from pathlib import Path
+from os.path import exists
 
 from foundation.extras import lacking
 from foundation.settings import quoted, unquoted
@@ -82,7 +82,8 @@ def _dispatch(words: list[str]) -> int:
 
     if key := kind.ALONE:
         overrides = ["list=true" if word == "--list" else word for word in overrides]
-        alone = [word for word in overrides if not word.startswith("-") and ("=" not in word or Path(word).exists())]
+        words = [word for word in overrides if not word.startswith("-")]
+        alone = [word for word in words if "=" not in word or exists(word)]  # noqa: PTH110 (takes any text)
         if len(alone) > 1:
             raise ConfigError(f"siamloc {command} takes one {key}, got {' '.join(alone)}: run it once for each")
         overrides = [f"{key}={quoted(unquoted(word))}" if word in alone else word for word in overrides]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from analytic.mapper import IncrementalMapper
 from foundation.files import check_writable
 from foundation.settings import as_words, defaults_of
 from siamloc import maps
-from siamloc.errors import ConfigError, SiamlocError
+from siamloc.errors import ConfigError
 from siamloc.jobs.choices import OF_A_RUN, Choice
 from siamloc.jobs.job import Given, Say, quiet
 from siamloc.jobs.options import choices, is_fused, option
@@ -26,6 +25,7 @@ from siamloc.maps.history import UPKEEP
 from siamloc.maps.maintenance import Maintenance
 from siamloc.runs import Run
 from siamloc.runtime.bundle import THUMBNAILS
+from siamloc.runtime.exportable import check_not_updated
 
 
 @dataclass(frozen=True)
@@ -104,14 +104,7 @@ class MapFrames(RunJob):
             return self._maintained(say)
         run, label, target = self.here, self.descriptor.title, map_places(self.here, self.titles)[0]
         check_writable(target)  # as all that follows, before any image is decoded
-        held: Mapping[str, Any] = {}
-        with suppress(SiamlocError):  # another version, or a damaged map, is replaced
-            held = VisualMap.load(target).made if target.is_file() else {}
-        if UPKEEP in held:
-            raise ConfigError(
-                f"{target} holds what updates added and counted, which a new map would lose: remove the file first, or "
-                "choose another run="
-            )
+        check_not_updated(target)
         described, heading = self.make_descriptor(), self.make_heading(say)
         images, roles = self.open_roles("map", *self.learned_from)
         made = {"role": self.protocol.map.plain()}
@@ -153,9 +146,10 @@ class MapFrames(RunJob):
         if self.build.name != "none":
             if (built := over.pop(folder, None)) is None:
                 words = as_words({"run": self.here.folder, "descriptor": label, "build": self.build.title})
-                raise ConfigError(
-                    f"{folder} has no nodes over the map {path}: `siamloc map {words}` makes map and nodes"
-                )
+                command = f"siamloc map {words}` makes map and nodes"
+                if UPKEEP in known.made:
+                    command = f"siamloc evaluate {words} task=mapping` makes nodes over it"
+                raise ConfigError(f"{folder} has no nodes over the map {path}: `{command}")
             if (folder / "mapper.npz").is_file():
                 mapper = IncrementalMapper.load(folder / "mapper.npz", known.descriptor, extend=True)
                 built = replace(built, mapper=mapper)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +35,19 @@ def check_replaceable(path: Path) -> None:
             f"{path} holds other files, such as {(others or sorted(names))[0]}, and a bundle replaces all of it: "
             "move them elsewhere, or name another folder"
         )
+
+
+def check_not_updated(path: Path) -> None:
+    """Check that the saved map in this path, if any, was not updated; one of another version counts as not updated.
+
+    Raises:
+        ConfigError: what updates changed would be lost.
+    """
+    with suppress(FormatError):
+        if path.is_file() and UPKEEP in VisualMap.load(path).made:
+            raise ConfigError(
+                f"{path} holds what updates added and counted, which a new map would lose: move the file away first"
+            )
 
 
 def check_counted(path: Path, known: VisualMap | None) -> None:

@@ -46,7 +46,7 @@ from siamloc.training.checks import (
     monitored,
     usable,
 )
-from siamloc.training.loggers import begin_records, listed, log_settings, remove_records
+from siamloc.training.loggers import begin_records, beginning, listed, log_settings
 from siamloc.training.pair_batches import PairDataModule
 from siamloc.training.place_batches import PlaceDataModule, rooms_of, validation_drive
 from siamloc.training.run_folder import (
@@ -224,24 +224,20 @@ def learn(
     with quiet(), alone(run.folder) if first else nullcontext():
         if first:
             check_folder(run, resume, overwrite)  # once more: another process may have trained here by now
-        lightning = run_trainer(run, settings, trainer, monitor and f"val/{monitor}")
-        check_batches(data, module.loss, lightning.world_size)
-        content = module.content()
-        used = {
-            **about,
-            **{"model": content["model"], "loss": content["loss"], "training": settings.plain()},
-            "trainer": recorded(lightning, trainer),
-        }
-        if resume and first:
-            check_same_training(run, plain(used), settings.epochs)
-            if last.is_file():
-                check_architecture(last, module)
-        try:
+        with beginning(run) if first else nullcontext():
+            lightning = run_trainer(run, settings, trainer, monitor and f"val/{monitor}")
+            check_batches(data, module.loss, lightning.world_size)
+            content = module.content()
+            used = {
+                **about,
+                **{"model": content["model"], "loss": content["loss"], "training": settings.plain()},
+                "trainer": recorded(lightning, trainer),
+            }
+            if resume and first:
+                check_same_training(run, plain(used), settings.epochs)
+                if last.is_file():
+                    check_architecture(last, module)
             begin_records(lightning.loggers)
-        except BaseException:
-            if first and not run.record.is_file():
-                remove_records(run)
-            raise
         if first:
             open_run(run, used, resume=resume, validated=monitor is not None)
             model = content["model"]

@@ -86,10 +86,16 @@ def begin_records(loggers: list[Logger]) -> None:
             _ = logger.experiment
 
 
-def remove_records(run: Run) -> None:
-    """Remove what loggers left in the folder of a run that did not begin."""
-    for name in LOGGERS:
-        shutil.rmtree(run.folder / name, ignore_errors=True)
+@contextmanager
+def beginning(run: Run) -> Iterator[None]:
+    """Remove what loggers left in the folder of a run, if it fails to begin and the folder holds no other one."""
+    try:
+        yield
+    except BaseException:
+        if not run.record.is_file():
+            for name in LOGGERS:
+                shutil.rmtree(run.folder / name, ignore_errors=True)
+        raise
 
 
 @_starting()

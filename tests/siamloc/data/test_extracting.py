@@ -510,6 +510,9 @@ def test_the_command_looks_first_and_then_extracts(bags, tmp_path, monkeypatch, 
     assert main(["prepare", str(spaced)]) == 0
     assert shlex.split(capsys.readouterr().out.splitlines()[-1])[3] == f'recording.file="{spaced}"'
     spaced.unlink()
+    words = [f"protocol.map.sequences=[{','.join(['drive'] * 99)}]", "data.image_size=[16,32]"]
+    assert main(["prepare", str(bags["ros1"]), *words]) == 0  # no file has so long a name
+    capsys.readouterr()
     assert main(["prepare", str(bags["ros1"]), "unwrap=polar", "unwrap.inner=3"]) == 0
     assert capsys.readouterr().out.splitlines()[-1].endswith(" unwrap=polar unwrap.inner=3")
     assert main([*command, "data.image_size=[16,32]", "data.circular=false"]) == 0  # no network, which takes long

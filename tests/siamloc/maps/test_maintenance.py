@@ -481,7 +481,7 @@ def test_the_command_takes_drives_together_and_in_tables_of_their_own(drives, tm
     said, (saved,) = capsys.readouterr().out, tmp_path.glob("run/evaluation/hog/map.npz")
     assert f"picture: {saved.with_name('staleness.png')}" in said
     again = refused(capsys, "map", *common, table("old"), "protocol.map.sequences=['*']")
-    assert "holds what updates added and counted, which a new map would lose: remove the file first" in again
+    assert "holds what updates added and counted, which a new map would lose: move the file away first" in again
     refined = "task.refine=interpolate thumbnails=true"  # as the bundle has
     assert said.splitlines()[-1] == f"next: siamloc export run={tmp_path / 'run'} {refined} descriptor=hog"
     known = VisualMap.load(saved)
@@ -536,4 +536,6 @@ def test_the_command_maintains_the_saved_map_and_its_nodes(drives, tmp_path, cap
     assert len(VisualMap.load(saved)) > len(known)
     assert not layer.exists(), "nodes of the map before the interruption"
     asked = refused(capsys, "map", *common, "update.sequences=[new]")
-    assert "descriptor=hog build=incremental` makes map and nodes" in asked
+    assert "descriptor=hog build=incremental task=mapping` makes nodes over it" in asked
+    done("evaluate", *common, "task=mapping", "overwrite=true")
+    assert layer.exists()
