@@ -177,7 +177,7 @@ def short_names(names: Iterable[str]) -> list[str]:
 
     Example:
         >>> short_names(["the corridor on the east side behind the stairs", "lab"])
-        ['the corridor on t ... side behind the stairs', 'lab']
+        ['the corridor on th ... behind the stairs', 'lab']
     """
     whole = list(names)
     cut = [shortened(name, _LONGEST_NAME) for name in whole]
