@@ -45,7 +45,8 @@ def confusion(
     slanted = 0.055 * longest  # inches, of the names below a matrix: they reach as far to its left
     margin = (0.35 + 0.075 * (longest + (11 if alone else 0)), 0.45 + slanted)
     look: dict[str, Any] = {"sharex": True, "sharey": True, "margin": margin, "ylabel": f"true {what} of the query"}
-    figure, every = panels(len(matrices), side + 0.15 + (0 if alone else slanted), side + 0.5, **look)
+    width, height = (side + 0.15, side + 0.5) if alone else (side + 0.15 + slanted, side + 0.8)
+    figure, every = panels(len(matrices), width, height, **look)
     for axes, (title, part) in zip(every, matrices.items(), strict=True):
         _matrix(axes, part, fits, n <= _MOST_TEXTS)
         total = int(part.sum())
