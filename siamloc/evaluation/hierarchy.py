@@ -207,7 +207,8 @@ def true_nodes(visual_map: VisualMap, layer: CoarseLayer, frames: FrameTable) ->
     if layer.made.get("name") != "rooms":
         return nearest
     labelled = numbered(frames.place, layer.names.tolist())[:, None]
-    alone = np.where(np.arange(nearest.nodes.shape[1]) == 0, labelled, UNASSIGNED)
+    alone = np.full_like(nearest.nodes, UNASSIGNED)
+    alone[:, :1] = labelled
     return replace(nearest, nodes=np.where(labelled == UNASSIGNED, nearest.nodes, alone))
 
 

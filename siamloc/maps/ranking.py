@@ -101,9 +101,9 @@ def rank_by_position(query_xy: ArrayLike, map_xy: ArrayLike, labels: ArrayLike) 
     """
     from scipy.spatial import cKDTree
 
-    queries, tree = checked(query_xy, "query")[0], cKDTree(checked(map_xy, "map")[0])
+    queries, tree, labels = checked(query_xy, "query")[0], cKDTree(checked(map_xy, "map")[0]), np.asarray(labels)
     near = tree.query_ball_point(queries, tree.query(queries)[0] + 1e-9)
-    found = [np.unique(np.asarray(labels)[rows]) for rows in near]
+    found = [np.unique(labels[rows]) for rows in near]
     nodes = np.full((len(found), max(map(len, found), default=1)), UNASSIGNED)
     for row, own in zip(nodes, found, strict=True):
         row[: len(own)] = own

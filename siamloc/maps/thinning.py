@@ -197,10 +197,10 @@ def nearest(known: FrameTable, drive: FrameTable) -> NDArray[np.int64]:
 
     Of the frame's own building, where the map has frames of it.
     """
-    found = np.zeros(len(drive), dtype=np.int64)
+    found, placed, xy = np.zeros(len(drive), dtype=np.int64), known.has_position, known.xy
     for row, (here, building) in enumerate(zip(drive.xy, drive.building, strict=True)):
-        own = known.has_position & (known.building == building)
-        apart = np.square(known.xy - here).sum(axis=1)
+        own = placed & (known.building == building)
+        apart = np.square(xy - here).sum(axis=1)
         found[row] = np.nanargmin(np.where(own, apart, np.nan) if own.any() else apart)
     return found
 
