@@ -386,7 +386,7 @@ def content_key(value: Any, length: int = 16) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:length]
 
 
-def expanded(path: str | Path) -> Path:
+def expanded(path: str | os.PathLike[str]) -> Path:
     """Return a path with the home folder in place of `~`; names that begin with ~ and are no user's stay."""
     try:
         return Path(path).expanduser()

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.calls import typed
-from foundation.files import check_version, plain, read_json, real_path, storage_errors, write_json
+from foundation.files import check_version, expanded, plain, read_json, real_path, storage_errors, write_json
 from foundation.locks import locked
 from foundation.ordering import by_numbers
-from foundation.settings import as_words, checked, misfit
+from foundation.settings import checked, misfit
+from foundation.words import as_words
 from siamloc.errors import ConfigError, FormatError, OldFormatError
 from siamloc.results import versions
 
@@ -55,7 +56,7 @@ class Run:
         checked(self.folder, str | Path, "the folder of a run")
         if str(self.folder).strip() == "":
             raise ConfigError("a run needs a folder of its own, such as run='runs/robot'; got an empty name")
-        object.__setattr__(self, "folder", Path(self.folder).expanduser())
+        object.__setattr__(self, "folder", expanded(self.folder))
 
     def __repr__(self) -> str:
         return f"Run({str(self.folder)!r}: {self._summary()})"

@@ -11,8 +11,9 @@ from typing import Annotated, Any, cast
 import numpy as np
 
 from foundation.calls import OF_FIELDS, takes
-from foundation.files import read_json, write_json, write_text
-from foundation.settings import Positive, Rule, Settings, Text, as_words
+from foundation.files import expanded, read_json, write_json, write_text
+from foundation.settings import Positive, Rule, Settings, Text
+from foundation.words import as_words
 from siamloc import evaluation, maps, runtime
 from siamloc.data import (
     AutoRing,
@@ -130,7 +131,7 @@ def walk(
         >>> made = siamloc.walk("monday.mp4", "robot", recording={"odometry": "wheels.txt"})  # doctest: +SKIP
         >>> siamloc.runtime.Localizer(made.bundle.path).locate("photo.jpg")  # doctest: +SKIP
     """
-    folder, lines = Path(out).expanduser(), list[str]()
+    folder, lines = expanded(out), list[str]()
     say = partial(_say, say, lines)
     if not overwrite:
         check_counted(Run(folder).bundle, None)

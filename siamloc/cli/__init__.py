@@ -14,7 +14,7 @@ from functools import partial
 from os.path import exists
 
 from foundation.extras import lacking
-from foundation.settings import quoted, unquoted
+from foundation.words import quoted, unquoted
 from siamloc.cli.help import COMMANDS, command_help, job_of, overview
 from siamloc.cli.words import values_of
 from siamloc.errors import ConfigError, SiamlocError, hint

@@ -14,7 +14,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from foundation.extras import installing
 from foundation.files import expanded
-from foundation.settings import merged, quoted, unquoted
+from foundation.settings import merged
+from foundation.words import quoted, unquoted
 from siamloc.cli.help import job_of
 from siamloc.cli.overrides import flags_first, key_of, meant, only_of_others, together
 from siamloc.cli.words import values_of

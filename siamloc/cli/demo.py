@@ -7,7 +7,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from foundation.settings import Seed, Text, as_words
+from foundation.settings import Seed, Text
+from foundation.words import as_words
 from siamloc.errors import ConfigError
 from siamloc.jobs.choices import Folder
 from siamloc.jobs.job import Job, Say, quiet

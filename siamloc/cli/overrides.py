@@ -6,7 +6,8 @@ import re
 from pathlib import Path
 
 from analytic.descriptors.fused import SIGN, distinct
-from foundation.settings import quoted, shortened, unquoted
+from foundation.settings import shortened
+from foundation.words import quoted, unquoted
 from siamloc.cli.help import job_of
 from siamloc.errors import ConfigError
 from siamloc.jobs.job import Job

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any, get_args
 
 from foundation.errors import known
-from foundation.settings import fields_of, unquoted
+from foundation.settings import fields_of
+from foundation.words import unquoted
 from siamloc.errors import ConfigError
 from siamloc.jobs.job import Job
 
@@ -53,8 +54,8 @@ def _items(word: str, inside: str) -> Iterator[str]:
 
 def _value(text: str, texts: bool) -> Any:
     text = text.strip()
-    if len(text) > 1 and text[0] == text[-1] and text[0] in "'\"":
-        return unquoted(text)
+    if (inside := unquoted(text)) != text:
+        return inside
     if text in ("null", "None"):
         return None
     if texts:  # a folder may be called 2024

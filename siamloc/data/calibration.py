@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from foundation.calls import typed
+from foundation.files import expanded
 from foundation.settings import shortened
 from siamloc.data.cameras import DoubleSphereCamera, DualFisheyeCamera, FisheyeCamera, OCamCamera, UnifiedCamera
 from siamloc.data.central import CentralCamera
@@ -57,7 +58,7 @@ def read_calibration(path: str | Path, camera: str | Sequence[str] | None = None
         ConfigError: a camera that the file does not have, none named of several, or an impossible parameter.
         DataError: a file that cannot be read, or of a model that no omnidirectional camera has.
     """
-    file = Path(path).expanduser()
+    file = expanded(path)
     text = read_file(file, "the calibration", most=1_000_000)
     if re.match(r"\s*#\s*polynomial", text):
         kind, values = _ocam(file, text)

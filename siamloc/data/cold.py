@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from foundation.files import first_names, is_picture
+from foundation.files import expanded, first_names, is_picture
 from foundation.settings import shortened
 from siamloc.data.frames import ODOMETRY, FrameTable, in_capture_order, read_file
 from siamloc.data.image_files import image_files
@@ -62,9 +62,9 @@ def read_cold(
     if (root is None) == (places is None):
         raise ConfigError("COLD is read from a folder or from one list: give either root=FOLDER or places=FILE")
     if places is not None:
-        sources = [_source_of_list(Path(places).expanduser())]
+        sources = [_source_of_list(expanded(places))]
     else:
-        sources = _with_camera(_find(Path(str(root)).expanduser()), camera, on_error)
+        sources = _with_camera(_find(expanded(str(root))), camera, on_error)
     named: dict[str, tuple[_Source, list[dict[str, Any]]]] = {}
     for source in sources:
         frames, name = _read_sequence(source, camera, on_error)

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.files import plain
-from foundation.settings import Size, as_words, checked, leaves
+from foundation.settings import Size, checked, leaves
+from foundation.words import as_words
 from siamloc.data.cameras import CAMERAS
 from siamloc.data.image_files import UnreadableImageError, read_image, spread
 from siamloc.data.levelling import SIZE, tilt_of

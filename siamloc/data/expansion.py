@@ -20,7 +20,8 @@ from augment.expand import headings
 from foundation.calls import typed
 from foundation.files import csv_text, real_path, storage_errors, write_json, write_text
 from foundation.locks import alone
-from foundation.settings import Count, Seed, Thousand, as_words
+from foundation.settings import Count, Seed, Thousand
+from foundation.words import as_words
 from siamloc.data.cold import ODOMETRY_FILE
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import ODOMETRY, FrameTable

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.calls import OF_FIELDS, takes, typed
-from foundation.files import read_json, real_path, write_bytes, write_json, write_picture, write_text
+from foundation.files import expanded, read_json, real_path, write_bytes, write_json, write_picture, write_text
 from foundation.settings import Count, Positive, Settings, Text
 from siamloc.data.bags import KINDS, Bag, Clock, proposed
 from siamloc.data.films import COUNTED, Film
@@ -163,7 +163,7 @@ def contents(file: str | Path, times: str | Path | None = None, second: tuple[st
         ConfigError: times of a recording that has times of its own.
         DataError: the file does not exist, cannot be read, or is no recording.
     """
-    with _opened(Path(file).expanduser(), times, second) as source:
+    with _opened(expanded(file), times, second) as source:
         about = source.path, source.seconds, dict(source.topics)
         if not isinstance(source, Bag):
             return Contents(*about, proposal={"images": next(iter(source.topics))})
@@ -202,7 +202,7 @@ def extract(
         DataError: a recording that cannot be read, without images, or whose poses are of another clock.
         StorageError: the disk is full or refuses.
     """
-    path, folder = Path(file).expanduser(), Path(out).expanduser()
+    path, folder = expanded(file), expanded(out)
     if path.is_dir() and path.resolve() == folder.resolve():
         raise ConfigError(f"{folder} is the recording itself: give another folder for its images")
     found = contents(path, settings.times, second)
@@ -250,7 +250,7 @@ def _opened(
     if not path.exists():
         raise DataError(f"there is no recording {path}")
     if times is not None and path.is_dir() and not (path / "metadata.yaml").is_file():
-        return nullcontext(Pictures(path, Path(times).expanduser(), second))
+        return nullcontext(Pictures(path, expanded(times), second))
     if times is not None:
         raise ConfigError(f"{path} has times of its own: recording.times is for a folder of pictures")
     if path.suffix.lower() in VIDEOS:
@@ -370,7 +370,7 @@ def _trajectory(recording: Bag | Film | Pictures, what: str, source: str, settin
     """
     if source == "none":
         return None
-    file = Path(source).expanduser()
+    file = expanded(source)
     if isinstance(recording, Bag) and (source in recording.topics or (":" in source and not file.exists())):
         found = recording.poses(source, settings.clock)
     elif file.is_file():

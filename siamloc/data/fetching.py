@@ -15,7 +15,16 @@ from urllib.parse import urlsplit
 from urllib.request import Request, urlopen
 
 from foundation.calls import typed
-from foundation.files import file_hash, first_names, read_text, real_path, scratch_folder, storage_errors, write_text
+from foundation.files import (
+    expanded,
+    file_hash,
+    first_names,
+    read_text,
+    real_path,
+    scratch_folder,
+    storage_errors,
+    write_text,
+)
 from foundation.locks import alone
 from foundation.settings import Count, Positive, shortened
 from siamloc.data.archives import ADDRESS, Archive, archives
@@ -107,7 +116,7 @@ def fetch(
         StorageError: the disk is full or refuses.
     """
     wanted = archives(_names(sequences))
-    folder = Path(out).expanduser()
+    folder = expanded(out)
     if not _is_address(mirror):
         raise ConfigError(f"mirror must be an address such as {ADDRESS}, got {mirror!r}")
     lost: dict[str, str] = {}

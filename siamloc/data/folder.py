@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from foundation.files import first_names
+from foundation.files import expanded, first_names
 from siamloc.data.frames import FrameTable, in_capture_order
 from siamloc.data.image_files import image_files
 from siamloc.data.names import lighting_in, parse_name
@@ -28,7 +28,7 @@ def read_folder(root: str | Path, *, on_error: Policy = "skip") -> FrameTable:
     Raises:
         DataError: the folder is missing, or holds no image in this layout.
     """
-    root = Path(root).expanduser()
+    root = expanded(root)
     if not root.is_dir():
         raise DataError(f"{root} is not a folder: expected one with {_LAYOUT}")
     frames: list[dict[str, Any]] = []

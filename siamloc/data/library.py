@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foundation.calls import typed
-from foundation.files import read_json
+from foundation.files import expanded, read_json
 from foundation.settings import Thousand, shortened
 from siamloc.data.cameras import twice_as_wide
 from siamloc.data.decoding import Preprocessing
@@ -93,7 +93,7 @@ class PanoramaLibrary:
         self.image_size = (self.preprocessing.view.height, self.preprocessing.view.width)
         self.circular = circular
         self._on_error = on_error
-        self._cache = Path(cache or os.environ.get("SIAMLOC_CACHE") or CACHE).expanduser().absolute()
+        self._cache = expanded(cache or os.environ.get("SIAMLOC_CACHE") or CACHE).absolute()
         self.simulated = _all_simulated(frames, self.preprocessing)
         _warn_of_equirectangular(frames, self.preprocessing, circular)
         tilt = frames.tilt

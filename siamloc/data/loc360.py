@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from foundation.files import expanded
 from foundation.settings import shortened
 from siamloc.data.frames import TILT, FrameTable, placed
 from siamloc.data.image_files import image_files
@@ -39,7 +40,7 @@ def read_360loc(
     Raises:
         DataError: no scene in the folder, an unknown scene, or poses that cannot be used (with file and line).
     """
-    folder = Path(root).expanduser()
+    folder = expanded(root)
     found = [path for path in (folder, *sorted(folder.glob("*"))) if (path / "mapping").is_dir()]
     if not found:
         raise DataError(f"{folder} holds no scene of 360Loc: expected {_LAYOUT}")

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from foundation.files import csv_text
+from foundation.files import csv_text, expanded
 from foundation.settings import shortened
 from siamloc.data.frames import COLUMNS as FRAME_COLUMNS
 from siamloc.data.frames import DEVIATIONS, ODOMETRY, TILT, FrameTable, concatenate, in_capture_order
@@ -46,7 +46,7 @@ def read_manifest(manifest: str | Path, *, on_error: Policy = "skip") -> FrameTa
         DataError: the file is missing or empty, a column or cell cannot be used (with line, column and value), an image
             appears twice in one sequence, or a sequence appears in two files.
     """
-    file = Path(manifest).expanduser()
+    file = expanded(manifest)
     # A name that exists is no pattern; Path.glob takes no absolute patterns.
     fitting = [file]
     if has_magic(str(file)) and not os.path.lexists(file):

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.calls import typed
+from foundation.files import expanded
 from siamloc.data.frames import parsed_yaml, read_file
 from siamloc.data.image_files import UnreadableImageError, read_image
 from siamloc.data.moves import composed, inverse
@@ -118,7 +119,7 @@ def read_occupancy(path: str | Path) -> OccupancyMap:
         >>> read_occupancy("map.yaml").occupancy.tolist()
         [[1.0, nan, 0.0]]
     """
-    file = Path(path).expanduser()
+    file = expanded(path)
     about = parsed_yaml(read_file(file, "the map"), f"the map {file}")
     missing = [key for key in _NEEDED if key not in about] if isinstance(about, Mapping) else list(_NEEDED)
     if missing:

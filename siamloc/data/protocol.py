@@ -9,7 +9,8 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.settings import Count, Natural, Positive, Rule, Settings, as_words
+from foundation.settings import Count, Natural, Positive, Rule, Settings
+from foundation.words import as_words
 from siamloc.data.frames import FrameTable, concatenate, fitting, in_capture_order
 from siamloc.errors import ConfigError, DataError
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from foundation.files import expanded
 from foundation.settings import Positive, Text
 from siamloc.data.frames import ODOMETRY, FrameTable, concatenate, placed
 from siamloc.data.recorded import joined, read_recorded
@@ -43,7 +44,7 @@ def read_rawseeds(
     Raises:
         DataError: no drive in the folder, or a table that is not as expected (with line).
     """
-    folder = Path(root).expanduser()
+    folder = expanded(root)
     drives = [path for path in (folder, *sorted(folder.glob("*"))) if (path / camera).is_dir()]
     if not drives:
         raise DataError(f"{folder} holds no drive of Rawseeds: expected <drive>/{camera}/{camera}_<seconds>.png")

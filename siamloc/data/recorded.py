@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from foundation.settings import Positive, as_words, shortened
+from foundation.files import expanded
+from foundation.settings import Positive, shortened
+from foundation.words import as_words
 from siamloc.data.frames import BAGS, ODOMETRY, TILT, FrameTable, advice, in_capture_order, placed
 from siamloc.data.image_files import image_files
 from siamloc.data.names import lighting_in
@@ -69,14 +71,14 @@ def read_recorded(
     Raises:
         DataError: a file that cannot be used as it is (with line), names without times, or clocks that differ.
     """
-    folder = Path(images).expanduser()
+    folder = expanded(images)
     given = {
-        what: read_trajectory(Path(file).expanduser(), form, order)
+        what: read_trajectory(expanded(file), form, order)
         for what, file in (("poses", poses), ("odometry", odometry))
         if file is not None
     }
     span = next((length for one in given.values() if (length := float(np.ptp(one.time))) > 0), None)
-    files, taken = images_of(folder, None if times is None else Path(times).expanduser(), span)
+    files, taken = images_of(folder, None if times is None else expanded(times), span)
     taken = taken + offset
     columns: dict[str, Array] = {"time": taken}
     for what, trajectory in given.items():

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.files import atomic_folder, content_key, parsed_json, storage_errors, write_json
+from foundation.files import atomic_folder, content_key, expanded, parsed_json, storage_errors, write_json
 from foundation.locks import locked
 from foundation.threads import in_order, processors
 from siamloc.data.decoding import Preprocessing
@@ -74,7 +74,7 @@ def open_store(
         DataError: no readable image, or an unreadable image if `on_error` is "raise".
         StorageError: the disk is full or cannot be written to.
     """
-    folder = Path(cache).expanduser().absolute() / store_key(paths, preprocessing, tilts)
+    folder = expanded(cache).absolute() / store_key(paths, preprocessing, tilts)
     store = _load(folder, len(paths))
     if store is None:
         where = f"{folder} (SIAMLOC_CACHE=FOLDER, in Python cache=FOLDER, takes another folder)"

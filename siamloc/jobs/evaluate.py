@@ -12,7 +12,8 @@ from urllib.parse import quote
 from analytic import Descriptor
 from analytic.descriptors.fused import SIGN
 from foundation.files import check_writable, real_path
-from foundation.settings import Text, as_words
+from foundation.settings import Text
+from foundation.words import as_words
 from siamloc import evaluation, maps
 from siamloc.data import FrameTable, PanoramaLibrary, Protocol, Role, read_occupancy
 from siamloc.data.frames import fitting

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from foundation.settings import as_words
+from foundation.words import as_words
 from siamloc.data import Protocol
 from siamloc.errors import SiamlocError
 from siamloc.evaluation.estimates import refinement

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar, Literal
 
-from foundation.settings import Count, Positive, Text, as_words
+from foundation.settings import Count, Positive, Text
+from foundation.words import as_words
 from siamloc.data.archives import ADDRESS
 from siamloc.data.fetching import Fetched, fetch
 from siamloc.data.protocol import ROLES, Protocol

@@ -11,7 +11,8 @@ import numpy as np
 
 from analytic.mapper import IncrementalMapper
 from foundation.files import check_writable
-from foundation.settings import as_words, defaults_of
+from foundation.settings import defaults_of
+from foundation.words import as_words
 from siamloc import maps
 from siamloc.errors import ConfigError
 from siamloc.jobs.choices import OF_A_RUN, Choice
@@ -145,11 +146,10 @@ class MapFrames(RunJob):
         over = {one: layer for one, layer in stored.items() if layer.map_digest == known.digest}
         if self.build.name != "none":
             if (built := over.pop(folder, None)) is None:
-                words = as_words({"run": self.here.folder, "descriptor": label, "build": self.build.title})
-                command = f"siamloc map {words}` makes map and nodes"
-                if UPKEEP in known.made:
-                    command = f"siamloc evaluate {words} task=mapping` makes nodes over it"
-                raise ConfigError(f"{folder} has no nodes over the map {path}: `{command}")
+                # `siamloc map` makes the map as well, and would lose what updates changed
+                command, task = ("evaluate", {"task": "mapping"}) if UPKEEP in known.made else ("map", {})
+                words = as_words({"run": self.here.folder, "descriptor": label, "build": self.build.title, **task})
+                raise ConfigError(f"{folder} has no nodes over the map {path}: `siamloc {command} {words}` makes them")
             if (folder / "mapper.npz").is_file():
                 mapper = IncrementalMapper.load(folder / "mapper.npz", known.descriptor, extend=True)
                 built = replace(built, mapper=mapper)

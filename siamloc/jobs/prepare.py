@@ -10,7 +10,7 @@ import numpy as np
 
 from analytic import Descriptor
 from foundation.files import write_picture
-from foundation.settings import as_words
+from foundation.words import as_words
 from siamloc.data import AutoRing, PanoramaLibrary, check, contents, extract, find_mounting, summary
 from siamloc.data.extracting import MANIFEST, Contents, Extraction, writes_camera
 from siamloc.data.image_files import read_image

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from foundation.settings import Rule, Text, as_words
+from foundation.settings import Rule, Text
+from foundation.words import as_words
 from siamloc.comparison import files_named
 from siamloc.errors import ConfigError, DataError, SiamlocError
 from siamloc.jobs.job import Job, Say, quiet

@@ -12,7 +12,8 @@ import numpy as np
 
 from analytic import DESCRIPTORS, Descriptor, Fused, descriptor
 from analytic.descriptors.fused import SIGN, distinct
-from foundation.settings import Seed, as_words, leaves
+from foundation.settings import Seed, leaves
+from foundation.words import as_words
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable, concatenate
 from siamloc.data.library import PanoramaLibrary

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from foundation.settings import as_words
+from foundation.words import as_words
 from siamloc.jobs.job import Job, Say, quiet
 from siamloc.simulate.produce import SimulateConfig, Summary, simulate
 

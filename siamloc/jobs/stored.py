@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from analytic import DESCRIPTORS
-from foundation.settings import as_words, defaults_of, fields_of
+from foundation.settings import defaults_of, fields_of
+from foundation.words import as_words
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, OldFormatError
 from siamloc.jobs.choices import OF_A_RUN, Build, DescriptorChoice, Model, names_in, parameters_of

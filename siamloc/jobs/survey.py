@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from foundation.files import check_writable
-from foundation.settings import as_words
+from foundation.words import as_words
 from siamloc.data import read
 from siamloc.data.checks import wrong_pictures, wrong_sizes
 from siamloc.data.protocol import Protocol

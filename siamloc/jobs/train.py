@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
-from foundation.settings import Count, Positive, Probability, Size, as_words, defaults_of
+from foundation.settings import Count, Positive, Probability, Size, defaults_of
+from foundation.words import as_words
 from siamloc.data.pairs import PairSettings
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError

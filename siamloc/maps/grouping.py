@@ -18,7 +18,8 @@ from foundation.errors import known as known_name
 from foundation.extras import need
 from foundation.files import read_json, storage_errors, write_json, write_text
 from foundation.locks import LOCK, locked
-from foundation.settings import Count, Natural, Positive, Probability, Seed, Settings, as_words
+from foundation.settings import Count, Natural, Positive, Probability, Seed, Settings
+from foundation.words import as_words
 from siamloc.errors import DataError, FormatError, logger
 from siamloc.maps.checked_arrays import check_means
 from siamloc.maps.coarse import CoarseLayer, naming, numbered

@@ -11,6 +11,7 @@ import numpy as np
 from torch import Tensor, nn
 
 from foundation.calls import typed
+from foundation.files import expanded
 from siamloc.errors import ConfigError, DataError, FormatError, SiamlocError
 from siamloc.models.describing import network_of
 from siamloc.models.network import Network, build
@@ -215,7 +216,7 @@ def _rooms_in(path: Path, about: dict[str, Any], state: dict[str, Tensor]) -> Ro
 def _checkpoint_of(source: str | Path | Run, which: str) -> Path:
     if isinstance(source, Run):
         return source.checkpoint(which)
-    path = Path(source).expanduser()
+    path = expanded(source)
     return Run(path).checkpoint(which) if path.is_dir() else path
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from foundation.files import atomic_path, check_version, parsed_json
+from foundation.files import atomic_path, check_version, expanded, parsed_json
 from siamloc.errors import ConfigError, FormatError, OldFormatError
 from siamloc.models.heads import GeneralizedMean, Magnitudes
 from siamloc.models.hub import timm_file, torchvision_weights
@@ -239,7 +239,7 @@ def find_weights(branch: str, weights: str | PathLike[str] | Run) -> Weights:
         return read_weights(weights.checkpoint())
     if weights == "siamloc":
         return replace(read_weights(PRETRAINED), origin="the network that ships with siamloc")
-    path = Path(weights).expanduser()
+    path = expanded(weights)
     if path.is_dir() and not _NAMES.fullmatch(str(weights)):
         return read_weights(Run(path).checkpoint())
     if isinstance(weights, PathLike) or path.suffix in _SUFFIXES or path.is_file():

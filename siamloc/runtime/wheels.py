@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.files import expanded
 from siamloc.data.checks import wrong_odometry
 from siamloc.data.frames import FrameTable
 from siamloc.data.manifest import read_rows
@@ -30,7 +31,7 @@ def read_odometry(table: str | Path) -> dict[str, NDArray[np.float64]]:
     Raises:
         DataError: the table cannot be read, has no odometry, or has it in degrees.
     """
-    file = Path(table).expanduser()
+    file = expanded(table)
     rows = [{"sequence": str(Path(row["path"]).parent), **row} for row in read_rows(file)]
     frames = FrameTable.from_rows(rows)
     if not np.isfinite(frames.odometry).all(axis=1).any():

@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from foundation.calls import typed
+from foundation.files import expanded
 from siamloc.errors import DataError, hint
 from siamloc.simulate.floor_plans import Cell, Kind, Plan, draw_plan
 from siamloc.simulate.furnishing import USES, Room, furnish
@@ -68,7 +69,7 @@ def load_building(name_or_path: str | FilePath, seed: int = 0) -> Building:
     name = str(name_or_path)
     if name == "random":
         return random_building(seed)
-    path = FilePath(name_or_path).expanduser()
+    path = expanded(name_or_path)
     if path.suffix not in (".yaml", ".yml"):
         if name not in building_names():
             raise DataError(f"there is no building {name!r}; {hint(name, building_names())}, or a YAML file")

@@ -14,7 +14,8 @@ import numpy as np
 from foundation.columns import spread_rows
 from foundation.files import check_writable, content_key, is_temporary
 from foundation.locks import LOCK
-from foundation.settings import as_words, leaves
+from foundation.settings import leaves
+from foundation.words import as_words
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from foundation.files import real_path
 from foundation.ordering import by_numbers
-from foundation.settings import as_words
+from foundation.words import as_words
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.report.page.surveyed import Surveyed, read_survey
 from siamloc.results import FINEST, Columns, read_results, read_rows, truth

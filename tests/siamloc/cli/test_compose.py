@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from foundation.settings import as_words
+from foundation.words import as_words
 from siamloc.cli.completion import candidates
 from siamloc.cli.compose import composed
 from siamloc.data import Protocol

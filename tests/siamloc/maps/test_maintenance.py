@@ -536,6 +536,6 @@ def test_the_command_maintains_the_saved_map_and_its_nodes(drives, tmp_path, cap
     assert len(VisualMap.load(saved)) > len(known)
     assert not layer.exists(), "nodes of the map before the interruption"
     asked = refused(capsys, "map", *common, "update.sequences=[new]")
-    assert "descriptor=hog build=incremental task=mapping` makes nodes over it" in asked
+    assert "descriptor=hog build=incremental task=mapping` makes them" in asked
     done("evaluate", *common, "task=mapping", "overwrite=true")
     assert layer.exists()
