@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from analytic.mapper import IncrementalMapper
 from siamloc.data.frames import FrameTable
+from siamloc.maps.buildings import nearest
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
 from siamloc.maps.grouping import Built
-from siamloc.maps.thinning import nearest
 from siamloc.maps.visual_map import VisualMap
 
 

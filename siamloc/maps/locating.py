@@ -10,12 +10,14 @@ from foundation.calls import typed
 from siamloc.data.checks import wrong_odometry
 from siamloc.data.frames import FrameTable, concatenate
 from siamloc.errors import ConfigError, DataError
+from siamloc.maps.buildings import buildings_of
 from siamloc.maps.comparing import comparison_of
 from siamloc.maps.survey_checks import check_lengths
 from siamloc.maps.survey_steps import with_odometry
 from siamloc.maps.surveying import SurveySettings, of_descriptions
-from siamloc.maps.thinning import nearest
 from siamloc.maps.visual_map import VisualMap
+
+_REACH = 3.0  # metres within which frames of two buildings lie over each other
 
 
 @typed
@@ -38,7 +40,8 @@ def locate(
 
     Returns:
         The frames of the drive with x, y and theta, their standard deviations, `deviation` and `theta_deviation`, and
-        the building of the nearest map frame.
+        the building: that of the nearest map frame, or, where buildings lie over each other, of the one that looks most
+        like the drive.
 
     Raises:
         ConfigError: a map whose descriptor does not compare images, or whose distances are not Euclidean, or a drive
@@ -76,4 +79,4 @@ def locate(
     rows = np.argsort(order)[len(known) :]
     poses = {name: getattr(found, name)[rows] for name in ("x", "y", "theta", "deviation", "theta_deviation")}
     located = drive.frames.with_columns(**poses)
-    return located.with_columns(building=known.frames.building[nearest(known.frames, located)])
+    return located.with_columns(building=buildings_of(known, replace(drive, frames=located), _REACH))

@@ -192,19 +192,6 @@ def _numbered(building: NDArray[np.str_]) -> NDArray[np.int64]:
     return np.unique(building, return_inverse=True)[1]
 
 
-def nearest(known: FrameTable, drive: FrameTable) -> NDArray[np.int64]:
-    """Return the row of the nearest map frame that has a position, for each frame of a drive (n,).
-
-    Of the frame's own building, where the map has frames of it.
-    """
-    found, placed, xy = np.zeros(len(drive), dtype=np.int64), known.has_position, known.xy
-    for row, (here, building) in enumerate(zip(drive.xy, drive.building, strict=True)):
-        own = placed & (known.building == building)
-        apart = np.square(xy - here).sum(axis=1)
-        found[row] = np.nanargmin(np.where(own, apart, np.nan) if own.any() else apart)
-    return found
-
-
 def compared_nearby(
     known: VisualMap, reach: float, wanted: Callable[[NDArray[np.int64], NDArray[np.int64]], NDArray[np.bool_]]
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]]:

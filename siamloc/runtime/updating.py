@@ -19,10 +19,10 @@ from siamloc.data.panorama import shows_nothing
 from siamloc.errors import DataError, SiamlocError, logger
 from siamloc.maps import Built, CoarseLayer, VisualMap
 from siamloc.maps.axes import WrongAxesError
+from siamloc.maps.buildings import buildings_of, nearest
 from siamloc.maps.checked_arrays import check_placed
 from siamloc.maps.history import UPKEEP
 from siamloc.maps.maintenance import Maintenance, Update, updated
-from siamloc.maps.thinning import nearest
 from siamloc.runtime import bundle as files
 from siamloc.runtime.collecting import SINCE, collected
 from siamloc.runtime.describing import coarse_map
@@ -81,8 +81,8 @@ def update(bundle: str | Path, folder: str | Path, *, settings: Maintenance = OF
                 fits = True
                 continue
             described = [localizer.describe(panoramas[at : at + _AT_ONCE]) for at in range(0, len(panoramas), _AT_ONCE)]
-            seen = known.like(_placed_in(known, drive), Description.concatenate(described))
-            found = updated(known, seen, built=built, settings=settings)
+            seen = known.like(drive, Description.concatenate(described))
+            found = updated(known, _placed_in(known, seen, 3 * settings.radius), built=built, settings=settings)
         except DataError as error:
             why = error.finding if isinstance(error, WrongAxesError) else error
             faults.append(f"{Path(whole.path[0]).parent} cannot update the map: {why}. Move it out of {folder}")
@@ -183,12 +183,14 @@ def _read(drive: FrameTable, size: tuple[int, int]) -> tuple[FrameTable, NDArray
     return drive.take(np.array(rows, dtype=np.int64)), np.concatenate(found).transpose(0, 3, 1, 2)
 
 
-def _placed_in(known: VisualMap, drive: FrameTable) -> FrameTable:
-    """Return a drive as frames of a map, with paths from the folder of all drives on.
+def _placed_in(known: VisualMap, drive: VisualMap, reach: float) -> VisualMap:
+    """Return a described drive with frames as those of a map, with paths from the folder of all drives on.
 
-    It has rooms and building of the nearest map frames, and headings if the map has any.
+    They have the buildings in which they were taken (see `buildings_of`), rooms of the nearest map frames there, and
+    headings if the map has any.
     """
-    paths = ["/".join(Path(path).parts[-2:]) for path in drive.path.tolist()]
-    near = known.frames.take(nearest(known.frames, drive))
-    theta = drive.theta if known.orientation is not None else np.full(len(drive), np.nan)
-    return replace(drive.with_columns(path=paths, room=near.room, building=near.building, theta=theta), unit=known.unit)
+    drive = replace(drive, frames=drive.frames.with_columns(building=buildings_of(known, drive, reach)))
+    paths = ["/".join(Path(path).parts[-2:]) for path in drive.frames.path.tolist()]
+    room = known.frames.room[nearest(known.frames, drive.frames)]
+    theta = drive.frames.theta if known.orientation is not None else np.full(len(drive), np.nan)
+    return replace(drive, frames=drive.frames.with_columns(path=paths, room=room, theta=theta, unit=known.unit))

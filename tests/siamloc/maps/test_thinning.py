@@ -8,7 +8,7 @@ import pytest
 from siamloc.data import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import History, VisualMap, thin
-from siamloc.maps.thinning import near, nearest
+from siamloc.maps.thinning import near
 from tests.siamloc.maps.conftest import placed, plain_map
 
 DAY, NIGHT = 0.0, 500.0
@@ -138,9 +138,3 @@ def test_budgets_that_make_no_sense_are_refused():
         DataError, match=r"of the .* map frames have no position, which thinning needs: .*`VisualMap.placed"
     ):
         thin(VisualMap([[1.0]], FrameTable(path=["a.png"])), per_square_metre=1)
-
-
-def test_the_nearest_frame_is_one_of_the_own_building_where_the_map_has_it():
-    known = FrameTable(path=["a", "b", "c"], x=[0, 1, np.nan], y=[0, 0, np.nan], building=["up", "down", "up"])
-    drive = FrameTable(path=["1", "2", "3", "4"], x=[0.9, 0.1, 0.9, 0.1], y=[0] * 4, building=["up", "down", "", "x"])
-    assert nearest(known, drive).tolist() == [0, 1, 1, 0]
