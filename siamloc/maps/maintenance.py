@@ -17,6 +17,7 @@ from siamloc.data.frames import FrameTable, check_units
 from siamloc.data.panorama import shows_nothing
 from siamloc.errors import ConfigError, DataError, logger
 from siamloc.maps.axes import check_axes
+from siamloc.maps.buildings import buildings_of
 from siamloc.maps.checked_arrays import check_placed
 from siamloc.maps.comparing import comparison_of
 from siamloc.maps.describing import build
@@ -163,6 +164,7 @@ def update(
         known: a map whose frames all have positions; it is not changed.
         images: panoramas of the drive.
         drive: n frames of one drive in capture order, all or some with positions in the map's coordinates, or none.
+            Those that state no building get the one of the map in which they were taken.
         deviation: (n,) standard deviation of each position, such as `drive.deviation`, NaN where it is unknown;
             all positions are certain if None.
         built: nodes over the map's frames. Nodes of an incremental map need their mapper, as `siamloc.maps.group`
@@ -253,6 +255,9 @@ def update(
     reason[np.flatnonzero(used & readable)[blank]] = Reason.BLANK
     found = updated(known, part.take(~blank), built=built, settings=settings)
     used &= reason != Reason.BLANK
+    building = drive.building.astype(object)
+    building[used] = found.drive.building
+    drive = drive.with_columns(building=building)
     reason, now = reason[readable], used[readable]
     contradicted, known_place = np.zeros((2, len(now)), dtype=bool)
     reason[now], contradicted[now], known_place[now] = found.reason, found.contradicted, found.known_place
@@ -273,6 +278,9 @@ def updated(
         built.check_map(known)
         if built.mapper is None and "ids" in built.layer.made:
             raise DataError("an incremental map is updated with its mapper, which a layer read from a file lacks")
+    own = drive.frames.building
+    building = np.where(own == "", buildings_of(known, drive, 3 * settings.radius), own)
+    drive = replace(drive, frames=drive.frames.with_columns(building=building))
     upkeep = _upkeep(known, settings)
     found = judged(known, drive, settings.radius)
     reason, contradicted = _joining(known, drive, found, built, upkeep["usual"], settings)

@@ -111,6 +111,17 @@ def test_a_drive_is_counted_once(known, drives, caplog):
     assert "the map counted drive annex/same before" in caplog.text
 
 
+def test_a_drive_that_states_no_building_is_in_that_of_the_map(known, drives):
+    stated = drives[2]["changed"].with_columns(building=["annex"] * FRAMES)
+    annex = replace(known, frames=known.frames.with_columns(building=["annex"] * FRAMES))
+    wanted, found = (update(annex, drives[1], one, progress=False) for one in (stated, drives[2]["changed"]))
+    assert named(found.reason).tolist() == named(wanted.reason).tolist()
+    assert set(found.drive.building) == set(found.known.frames.building) == {"annex"}
+    assert found.known.made["upkeep"]["drives"] == ["annex/changed"]
+    elsewhere = update(annex, drives[1], stated.with_columns(building=["barn"] * FRAMES), progress=False)
+    assert set(named(elsewhere.reason)) <= {"NEW_PLACE", "REPEATED"}, "a building of its own"
+
+
 def test_drives_are_counted_one_by_one(known, drives):
     both, same = drives[1].frames.select(sequence=["same", "later"]), drives[2]["same"]
     for frames, asked in (
