@@ -53,7 +53,8 @@ def drive_faults(
     spread = np.unique(np.linspace(0, len(frames) - 1, _LOOKED_AT).astype(int))
     sees = images.seen(str(frames.sequence[0]))
     turn = images.circular and (sees is None or bool(sees.any(axis=0).all()))  # what is not seen is filled
-    found = picture_faults(images.batch(images.rows(frames.take(spread))), images.preprocessing, turn, sees)
+    given = bool(np.isfinite(frames.tilt).any())
+    found = picture_faults(images.batch(images.rows(frames.take(spread))), images.preprocessing, turn, sees, given)
     if images.circular:
         part = _turning(frames)
         seen = turns_seen(images.batch(images.rows(part)))
@@ -80,13 +81,17 @@ def _turning(frames: FrameTable) -> FrameTable:
 
 
 def picture_faults(
-    panoramas: NDArray[np.uint8], made_by: Preprocessing, circular: bool, sees: NDArray[np.bool_] | None = None
+    panoramas: NDArray[np.uint8],
+    made_by: Preprocessing,
+    circular: bool,
+    sees: NDArray[np.bool_] | None = None,
+    tilt_given: bool = False,
 ) -> list[str | None]:
     """Return the faults of a drive's panoramas that show without poses."""
     grey = panoramas.mean(axis=1, dtype=np.float32)
     if (text := exposure(grey)) is not None:
         return [text]  # nothing else can be judged
-    around = [missing_azimuth(grey) or seam(grey), horizon(panoramas, made_by, sees)] if circular else []
+    around = [missing_azimuth(grey) or seam(grey), horizon(panoramas, made_by, sees, tilt_given)] if circular else []
     return [blur(grey), own_robot(grey), *around]
 
 
@@ -178,7 +183,12 @@ def own_robot(grey: Array) -> str | None:
     )
 
 
-def horizon(panoramas: NDArray[np.uint8], made_by: Preprocessing, sees: NDArray[np.bool_] | None = None) -> str | None:
+def horizon(
+    panoramas: NDArray[np.uint8],
+    made_by: Preprocessing,
+    sees: NDArray[np.bool_] | None = None,
+    tilt_given: bool = False,
+) -> str | None:
     """Look for a camera that is mounted tilted, or sways: in most panoramas (n, 3, H, W), upright edges lean."""
     tilts = np.degrees([tilt_of(one.transpose(1, 2, 0), made_by.view, sees) for one in panoramas])
     roll, pitch = np.median(tilts, axis=0)
@@ -186,6 +196,8 @@ def horizon(panoramas: NDArray[np.uint8], made_by: Preprocessing, sees: NDArray[
     levelled = "choose the camera model that levels pictures (unwrap=, with unwrap.level=true)"
     if made_by.elevations is not None:
         levelled = "set unwrap.level=true, or give its tilt (the columns roll and pitch)"
+        if tilt_given:
+            levelled = "leave out the tilt that is given, which does not fit (the columns roll and pitch)"
     if tilt >= _LEVEL:
         side = ("ahead", "on the left", "behind", "on the right")[round(np.arctan2(roll, -pitch) / (np.pi / 2)) % 4]
         return (

@@ -44,6 +44,9 @@ _USUAL, _STEPS = 0.1, (1e-3, 60.0)  # s from an entry to the next
 _UNIT_LENGTH = 0.01  # by which the length of a quaternion may differ from 1
 _LEVEL = 0.98  # least length of the mean direction upwards of a robot that stays level
 _TILTED = 0.9  # largest length of that mean for a robot that does not stay upright
+_LEANS = np.radians(2)  # angle between an axis of the world and the ground from which on the ground counts
+_FEW = 10  # positions, of which the ground is not told
+_FLAT, _WIDE = 0.05, 0.01  # most thickness of a ground, as a share of its width, and least width, of its length
 _WHOLE_TURN = 2 * np.pi + 0.01
 _EXACTLY = 1e-6  # rad
 _ROTATES = 0.01  # by which the product of a rotation matrix and its transpose may differ from the unit matrix
@@ -133,8 +136,10 @@ class Trajectory:
     def flat(self, axes: Axes = "robot", whole: Trajectory | None = None) -> Array:
         """Return the poses in the plane of the ground (n, 3): x, y, and heading in rad, counter-clockwise.
 
-        The direction upwards is that axis of the world to which the frame's own points all the time. Seen from above,
-        x is the world's first axis in the plane, and y lies a quarter turn to its left.
+        The direction upwards is that axis of the world to which the frame's own points all the time; or the normal of
+        the ground that the frame moves over, if that leans against the axis, as in the world of a camera's first pose,
+        which is tilted as the camera was. Seen from above, x is the world's first axis in the plane, and y lies a
+        quarter turn to its left.
 
         Args:
             axes: the frame's axes: "robot" for x ahead and z up, "camera" for z ahead and y down.
@@ -147,12 +152,14 @@ class Trajectory:
             DataError: the frame does not stay upright, or none of its poses is known.
         """
         upwards = (whole or self)._upwards(axes)
-        vertical = int(np.abs(upwards).argmax())
+        axis = _nearest_axis(upwards)
+        vertical = int(np.abs(axis).argmax())
         first, second = [axis for axis in range(3) if axis != vertical]
-        left = upwards[vertical] * (-1 if vertical == 1 else 1)
-        forward = turned(self.quaternion, AXES[axes][0])
+        left = axis[vertical] * (-1 if vertical == 1 else 1)
+        level = _turning(upwards, axis)
+        position, forward = (turned(level, of) for of in (self.position, turned(self.quaternion, AXES[axes][0])))
         heading = np.arctan2(left * forward[:, second], forward[:, first])
-        return np.column_stack([self.position[:, first], left * self.position[:, second], heading])
+        return np.column_stack([position[:, first], left * position[:, second], heading])
 
     def tilted(self, axes: Axes = "robot", whole: Trajectory | None = None) -> Array:
         """Return the poses in the plane with roll and pitch in rad (n, 5), as `FrameTable` has them; see `flat`.
@@ -191,16 +198,31 @@ class Trajectory:
         return Trajectory(self.time, -turned(back, self.position), back, self.source)
 
     def _upwards(self, axes: Axes) -> Array:
-        """Return the axis of the world (3,), or its opposite, to which the frame's own direction upwards points."""
+        """Return the direction upwards in the world (3,): an axis, its opposite, or the normal of a ground that leans.
+
+        That is the one to which the frame's own direction upwards points.
+        """
         if not len(self._oriented):
             raise DataError(
                 f"{self.source}: none of the {len(self)} poses is known, so that nothing says which way is up: take "
                 "times inside of the trajectory, or give the trajectory as whole"
             )
         mean = mean_up(self._oriented, axes)
+        if (ground := self._ground()) is not None:
+            ground = ground * np.sign(ground @ mean)
+            if ground @ mean >= _TILTED and ground @ _nearest_axis(ground) < np.cos(_LEANS):
+                return ground
         if not np.abs(mean).max() >= _TILTED:
             raise DataError(f"{self.source}: {self._why_tilted(axes)}")
-        return np.asarray(np.where(np.abs(mean) == np.abs(mean).max(), np.sign(mean), 0.0))
+        return _nearest_axis(mean)
+
+    def _ground(self) -> Array | None:
+        """Return the normal of the plane in which the positions lie (3,); None if they lie in none, or on a line."""
+        position = self.position[np.isfinite(self.position).all(axis=1)]
+        if len(position) < _FEW:
+            return None
+        _, (length, width, thickness), directions = np.linalg.svd(position - position.mean(axis=0), full_matrices=False)
+        return directions[2] if thickness < _FLAT * width and width > _WIDE * length else None
 
     def _why_tilted(self, axes: Axes) -> str:
         other: Axes = "camera" if axes == "robot" else "robot"
@@ -209,6 +231,18 @@ class Trajectory:
         if np.abs(mean_up(self._oriented, other)).max() > _LEVEL:
             return f"the poses are those of a {other}, not of a {axes}: give axes={other}"
         return f"no axis of the world stays upright, with axes={axes}: the poses do not lie in a plane"
+
+
+def _nearest_axis(direction: Array) -> Array:
+    """Return the axis of the world (3,), or its opposite, that is nearest to a direction (3,)."""
+    size = np.abs(direction)
+    return np.asarray(np.where(size == size.max(), np.sign(direction), 0.0))
+
+
+def _turning(one: Array, other: Array) -> Array:
+    """Return the quaternion (1, 4) of the shortest turn of a direction (3,) to another one, not its opposite."""
+    quaternion = np.append(np.cross(one, other), 1 + one @ other)
+    return quaternion[None] / np.linalg.norm(quaternion)
 
 
 def composed(links: Sequence[Trajectory], source: str) -> Trajectory:
