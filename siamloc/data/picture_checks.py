@@ -197,7 +197,7 @@ def horizon(
     if made_by.elevations is not None:
         levelled = "set unwrap.level=true, or give its tilt (the columns roll and pitch)"
         if tilt_given:
-            levelled = "leave out the tilt that is given, which does not fit (the columns roll and pitch)"
+            levelled = "set unwrap.level=true and leave the given tilt out, which does not fit (columns roll and pitch)"
     if tilt >= _LEVEL:
         side = ("ahead", "on the left", "behind", "on the right")[round(np.arctan2(roll, -pitch) / (np.pi / 2)) % 4]
         return (

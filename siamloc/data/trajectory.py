@@ -45,8 +45,9 @@ _UNIT_LENGTH = 0.01  # by which the length of a quaternion may differ from 1
 _LEVEL = 0.98  # least length of the mean direction upwards of a robot that stays level
 _TILTED = 0.9  # largest length of that mean for a robot that does not stay upright
 _LEANS = np.radians(2)  # angle between an axis of the world and the ground from which on the ground counts
-_FEW = 10  # positions, of which the ground is not told
+_FEWEST = 10  # positions that show the ground
 _FLAT, _WIDE = 0.05, 0.01  # most thickness of a ground, as a share of its width, and least width, of its length
+_STEADIER = 0.5  # how unsteady the ground's normal may be in the frame, as a share of how unsteady the axis is
 _WHOLE_TURN = 2 * np.pi + 0.01
 _EXACTLY = 1e-6  # rad
 _ROTATES = 0.01  # by which the product of a rotation matrix and its transpose may differ from the unit matrix
@@ -137,9 +138,9 @@ class Trajectory:
         """Return the poses in the plane of the ground (n, 3): x, y, and heading in rad, counter-clockwise.
 
         The direction upwards is that axis of the world to which the frame's own points all the time; or the normal of
-        the ground that the frame moves over, if that leans against the axis, as in the world of a camera's first pose,
-        which is tilted as the camera was. Seen from above, x is the world's first axis in the plane, and y lies a
-        quarter turn to its left.
+        the plane of the positions, if that leans against the axis and stays the same in the frame while the axis does
+        not, as in the world of a camera's first pose, which is tilted as the camera was. Seen from above, x is the
+        world's first axis in the plane, and y lies a quarter turn to its left.
 
         Args:
             axes: the frame's axes: "robot" for x ahead and z up, "camera" for z ahead and y down.
@@ -151,29 +152,27 @@ class Trajectory:
         Raises:
             DataError: the frame does not stay upright, or none of its poses is known.
         """
-        upwards = (whole or self)._upwards(axes)
-        axis = _nearest_axis(upwards)
-        vertical = int(np.abs(axis).argmax())
-        first, second = [axis for axis in range(3) if axis != vertical]
-        left = axis[vertical] * (-1 if vertical == 1 else 1)
-        level = _turning(upwards, axis)
-        position, forward = (turned(level, of) for of in (self.position, turned(self.quaternion, AXES[axes][0])))
-        heading = np.arctan2(left * forward[:, second], forward[:, first])
-        return np.column_stack([position[:, first], left * position[:, second], heading])
+        return self.tilted(axes, whole)[:, :3]
 
     def tilted(self, axes: Axes = "robot", whole: Trajectory | None = None) -> Array:
         """Return the poses in the plane with roll and pitch in rad (n, 5), as `FrameTable` has them; see `flat`.
 
         Roll and pitch are NaN for a frame that is always exactly level: nobody measured them.
         """
-        ahead, up = AXES[axes]
-        seen = turned(self.inverse().quaternion, (whole or self)._upwards(axes)) @ np.stack(
-            [ahead, np.cross(up, ahead), up], axis=1
-        )
+        (ahead, up), upwards = AXES[axes], (whole or self)._upwards(axes)
+        across = np.stack([ahead, np.cross(up, ahead), up], axis=1)
+        seen = turned(self.inverse().quaternion, upwards) @ across
         tilt = np.column_stack([np.arctan2(seen[:, 1], seen[:, 2]), -np.arcsin(seen[:, 0].clip(-1, 1))])
         if not (np.abs(tilt) > _EXACTLY).any():
             tilt[:] = np.nan
-        return np.column_stack([self.flat(axes, whole), tilt])
+        axis = _nearest_axis(upwards)
+        vertical = int(np.abs(axis).argmax())
+        first, second = [other for other in range(3) if other != vertical]
+        left = axis[vertical] * (-1 if vertical == 1 else 1)
+        level = _turn_between(upwards, axis)
+        position, forward = (turned(level, of) for of in (self.position, turned(self.quaternion, ahead)))
+        heading = np.arctan2(left * forward[:, second], forward[:, first])
+        return np.column_stack([position[:, first], left * position[:, second], heading, tilt])
 
     def own_axes(self, given: Axes, *, beside: bool = False) -> Axes:
         """Return the axes of this trajectory: the given ones, or "robot" where it does not stay upright with them.
@@ -198,28 +197,29 @@ class Trajectory:
         return Trajectory(self.time, -turned(back, self.position), back, self.source)
 
     def _upwards(self, axes: Axes) -> Array:
-        """Return the direction upwards in the world (3,): an axis, its opposite, or the normal of a ground that leans.
-
-        That is the one to which the frame's own direction upwards points.
-        """
+        """Return the direction upwards in the world (3,): an axis, or the normal of a ground that leans; see `flat`."""
         if not len(self._oriented):
             raise DataError(
                 f"{self.source}: none of the {len(self)} poses is known, so that nothing says which way is up: take "
                 "times inside of the trajectory, or give the trajectory as whole"
             )
         mean = mean_up(self._oriented, axes)
-        if (ground := self._ground()) is not None:
+        axis, ground = _nearest_axis(mean), self._ground()
+        if ground is not None:
             ground = ground * np.sign(ground @ mean)
-            if ground @ mean >= _TILTED and ground @ _nearest_axis(ground) < np.cos(_LEANS):
-                return ground
+            back = self._oriented * np.array([-1, -1, -1, 1])
+            unsteady, usual = (1 - np.linalg.norm(turned(back, of).mean(axis=0)) for of in (ground, axis))
+            leans = ground @ axis < np.cos(_LEANS) and unsteady < _STEADIER * usual
+            if leans and ground @ mean >= _TILTED:
+                return np.asarray(ground)
         if not np.abs(mean).max() >= _TILTED:
             raise DataError(f"{self.source}: {self._why_tilted(axes)}")
-        return _nearest_axis(mean)
+        return axis
 
     def _ground(self) -> Array | None:
         """Return the normal of the plane in which the positions lie (3,); None if they lie in none, or on a line."""
         position = self.position[np.isfinite(self.position).all(axis=1)]
-        if len(position) < _FEW:
+        if len(position) < _FEWEST:
             return None
         _, (length, width, thickness), directions = np.linalg.svd(position - position.mean(axis=0), full_matrices=False)
         return directions[2] if thickness < _FLAT * width and width > _WIDE * length else None
@@ -239,7 +239,7 @@ def _nearest_axis(direction: Array) -> Array:
     return np.asarray(np.where(size == size.max(), np.sign(direction), 0.0))
 
 
-def _turning(one: Array, other: Array) -> Array:
+def _turn_between(one: Array, other: Array) -> Array:
     """Return the quaternion (1, 4) of the shortest turn of a direction (3,) to another one, not its opposite."""
     quaternion = np.append(np.cross(one, other), 1 + one @ other)
     return quaternion[None] / np.linalg.norm(quaternion)

@@ -10,37 +10,53 @@ from siamloc.maps.matching import learned_distances
 from siamloc.maps.search import slices
 from siamloc.maps.visual_map import VisualMap
 
-_AROUND = 15  # frames of a drive before and after one that tell with it on which floor it was taken
-_AT_ONCE = 64  # frames whose descriptors are compared with all map frames
+_REACH = 3.0  # times the radius: buildings lie over each other where their map frames differ by at most this distance
+_AROUND = 15  # frames of a drive before and after one that are judged together with it
+_AT_ONCE = 64  # frames that are compared with the map frames around them
 
 
-def buildings_of(known: VisualMap, drive: VisualMap, reach: float) -> NDArray[np.str_]:
+def buildings_of(known: VisualMap, drive: VisualMap, radius: float = 1.0) -> NDArray[np.str_]:
     """Return the building of each frame of a drive in a map (n,).
 
-    It is the one that the frame states, if the map has frames of it, else that of the nearest map frame. Where
-    buildings lie over each other, as the floors of a house do, it is the one whose nearest map frame looks most like
-    the frame, summed over the frames before and after it in the drive.
+    It is the one that the frame states, or all frames of its drive that state any, if the map has frames of it; else
+    that of the nearest map frame. Where buildings lie over each other, as the floors of a house do, it is the one whose
+    frames around there look most like the drive, summed over 15 frames before and after: where a drive changes floors
+    is known no better than that.
 
     Args:
         known: a map with frames that have positions.
         drive: n frames with positions, described as the map was.
-        reach: buildings lie over each other where their nearest map frames differ by at most this distance.
+        radius: distance within which frames show the same place, in the unit of the positions.
     """
-    held, frames = known.frames, drive.frames
-    names = np.unique(held.building[held.has_position])
-    if len(names) == 1:
-        return np.repeat(names, len(frames))
-    own = [np.flatnonzero(held.has_position & (held.building == name)) for name in names]
-    rows = np.stack([of[nearest(held.take(of), frames)] for of in own], axis=1)
-    apart = np.hypot(*(held.xy[rows] - frames.xy[:, None]).transpose(2, 0, 1))
-    unlike = np.empty(rows.shape)
-    for part in slices(len(frames), _AT_ONCE):
-        unlike[part] = np.take_along_axis(learned_distances(known, drive.turning(part)), rows[part], axis=1)
-    for of in frames.rows_by("sequence").values():
+    known = known.take(known.frames.has_position)
+    names, number = np.unique(known.frames.building, return_inverse=True)
+    building = np.where(np.isin(drive.frames.building, names), drive.frames.building, "").astype(object)
+    drives = drive.frames.rows_by("sequence").values()
+    for of in drives:
+        if len(stated := set(building[of]) - {""}) == 1:
+            building[of] = stated.pop()
+    asked = np.flatnonzero(building == "")
+    if len(names) == 1 or not len(asked):
+        building[asked] = names[0]
+        return building.astype(np.str_)
+    there, unlike = np.zeros((len(drive), len(names)), dtype=bool), np.zeros((len(drive), len(names)))
+    for part in (asked[part] for part in slices(len(asked), _AT_ONCE)):
+        xy = drive.frames.xy[part]
+        apart = np.hypot(xy[:, :1] - known.frames.x, xy[:, 1:] - known.frames.y)
+        around = apart <= apart.min(axis=1, keepdims=True) + _REACH * radius
+        of = np.stack([around & (number == one) for one in range(len(names))])
+        there[part] = of.any(axis=2).T
+        if (there[part].sum(axis=1) > 1).any():
+            rows = np.flatnonzero(around.any(axis=0))
+            distances = learned_distances(known.take(rows), drive.turning(part))
+            least = np.where(of[:, :, rows], distances, np.inf).min(axis=2).T
+            unlike[part] = np.where(there[part], least, np.where(there[part], least, 0).max(axis=1, keepdims=True))
+    for of in drives:
         for column in unlike.T:
             column[of] = np.convolve(column[of], np.ones(2 * _AROUND + 1))[_AROUND : _AROUND + len(of)]
-    unlike[apart > apart.min(axis=1, keepdims=True) + reach] = np.inf
-    return np.where(np.isin(frames.building, names), frames.building, names[unlike.argmin(axis=1)])
+    unlike[~there] = np.inf
+    building[asked] = names[unlike[asked].argmin(axis=1)]
+    return building.astype(np.str_)
 
 
 def nearest(known: FrameTable, drive: FrameTable) -> NDArray[np.int64]:

@@ -17,8 +17,6 @@ from siamloc.maps.survey_steps import with_odometry
 from siamloc.maps.surveying import SurveySettings, of_descriptions
 from siamloc.maps.visual_map import VisualMap
 
-_REACH = 3.0  # metres within which frames of two buildings lie over each other
-
 
 @typed
 def locate(
@@ -40,8 +38,8 @@ def locate(
 
     Returns:
         The frames of the drive with x, y and theta, their standard deviations, `deviation` and `theta_deviation`, and
-        the building: that of the nearest map frame, or, where buildings lie over each other, of the one that looks most
-        like the drive.
+        the building: the stated one, if the map has it, else that of the nearest map frame, or, where buildings lie
+        over each other, the one that looks most like the drive.
 
     Raises:
         ConfigError: a map whose descriptor does not compare images, or whose distances are not Euclidean, or a drive
@@ -79,4 +77,4 @@ def locate(
     rows = np.argsort(order)[len(known) :]
     poses = {name: getattr(found, name)[rows] for name in ("x", "y", "theta", "deviation", "theta_deviation")}
     located = drive.frames.with_columns(**poses)
-    return located.with_columns(building=buildings_of(known, replace(drive, frames=located), _REACH))
+    return located.with_columns(building=buildings_of(known, replace(drive, frames=located)))

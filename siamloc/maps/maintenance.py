@@ -164,7 +164,7 @@ def update(
         known: a map whose frames all have positions; it is not changed.
         images: panoramas of the drive.
         drive: n frames of one drive in capture order, all or some with positions in the map's coordinates, or none.
-            Those that state no building get the one of the map in which they were taken.
+            Those that state no building get the one of the map in which they were taken; one that the map lacks is new.
         deviation: (n,) standard deviation of each position, such as `drive.deviation`, NaN where it is unknown;
             all positions are certain if None.
         built: nodes over the map's frames. Nodes of an incremental map need their mapper, as `siamloc.maps.group`
@@ -256,7 +256,7 @@ def update(
     found = updated(known, part.take(~blank), built=built, settings=settings)
     used &= reason != Reason.BLANK
     building = drive.building.astype(object)
-    building[used] = found.drive.building
+    building[used & readable] = found.drive.building
     drive = drive.with_columns(building=building)
     reason, now = reason[readable], used[readable]
     contradicted, known_place = np.zeros((2, len(now)), dtype=bool)
@@ -278,9 +278,9 @@ def updated(
         built.check_map(known)
         if built.mapper is None and "ids" in built.layer.made:
             raise DataError("an incremental map is updated with its mapper, which a layer read from a file lacks")
-    own = drive.frames.building
-    building = np.where(own == "", buildings_of(known, drive, 3 * settings.radius), own)
-    drive = replace(drive, frames=drive.frames.with_columns(building=building))
+    if (unstated := drive.frames.building == "").any():
+        building = np.where(unstated, buildings_of(known, drive, settings.radius), drive.frames.building)
+        drive = replace(drive, frames=drive.frames.with_columns(building=building))
     upkeep = _upkeep(known, settings)
     found = judged(known, drive, settings.radius)
     reason, contradicted = _joining(known, drive, found, built, upkeep["usual"], settings)

@@ -82,7 +82,7 @@ def update(bundle: str | Path, folder: str | Path, *, settings: Maintenance = OF
                 continue
             described = [localizer.describe(panoramas[at : at + _AT_ONCE]) for at in range(0, len(panoramas), _AT_ONCE)]
             seen = known.like(drive, Description.concatenate(described))
-            found = updated(known, _placed_in(known, seen, 3 * settings.radius), built=built, settings=settings)
+            found = updated(known, _placed_in(known, seen, settings.radius), built=built, settings=settings)
         except DataError as error:
             why = error.finding if isinstance(error, WrongAxesError) else error
             faults.append(f"{Path(whole.path[0]).parent} cannot update the map: {why}. Move it out of {folder}")
@@ -183,13 +183,13 @@ def _read(drive: FrameTable, size: tuple[int, int]) -> tuple[FrameTable, NDArray
     return drive.take(np.array(rows, dtype=np.int64)), np.concatenate(found).transpose(0, 3, 1, 2)
 
 
-def _placed_in(known: VisualMap, drive: VisualMap, reach: float) -> VisualMap:
+def _placed_in(known: VisualMap, drive: VisualMap, radius: float) -> VisualMap:
     """Return a described drive with frames as those of a map, with paths from the folder of all drives on.
 
     They have the buildings in which they were taken (see `buildings_of`), rooms of the nearest map frames there, and
     headings if the map has any.
     """
-    drive = replace(drive, frames=drive.frames.with_columns(building=buildings_of(known, drive, reach)))
+    drive = replace(drive, frames=drive.frames.with_columns(building=buildings_of(known, drive, radius)))
     paths = ["/".join(Path(path).parts[-2:]) for path in drive.frames.path.tolist()]
     room = known.frames.room[nearest(known.frames, drive.frames)]
     theta = drive.frames.theta if known.orientation is not None else np.full(len(drive), np.nan)

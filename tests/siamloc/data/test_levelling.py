@@ -87,7 +87,7 @@ def test_a_camera_that_is_mounted_tilted_or_sways_is_named(roll, pitch, lower):
     said = f"things appear about 5 degrees lower {lower}. Mount the camera upright, or set unwrap.level=true"
     assert said in (horizon(np.stack([tilted]), made) or "")
     assert "the camera sways: it is tilted by 5 degrees" in (horizon(np.stack([tilted, against]), made) or "")
-    assert "or leave out the tilt that is given" in (horizon(np.stack([tilted]), made, tilt_given=True) or "")
+    assert "and leave the given tilt out" in (horizon(np.stack([tilted]), made, tilt_given=True) or "")
     assert "or choose the camera model" in (horizon(np.stack([tilted]), replace(made, camera=None)) or "")
     assert horizon(np.stack([level]), made) is None
 

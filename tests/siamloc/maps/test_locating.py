@@ -70,6 +70,18 @@ def test_a_drive_is_located_by_all_of_it(poses):
     assert 0.3 < off.mean() / np.median(found.deviation) < 2
 
 
+def test_located_frames_are_in_the_building_that_they_look_like(poses, monkeypatch):
+    known, drive = maps(TrueComparison(poses, 1.0, 0.02), poses, **wheels(poses))
+    known = replace(known, frames=known.frames.with_columns(building=["up", "down"] * 30))
+    monkeypatch.setattr(
+        "siamloc.maps.locating.buildings_of",
+        lambda known, drive: np.where(drive.frames.x > 0, *known.frames.building[:2]),
+    )
+    found = locate(known, drive, progress=False)
+    np.testing.assert_array_equal(found.building, np.where(found.x > 0, "up", "down"))
+    assert len(set(found.building)) == 2
+
+
 def test_the_frames_of_a_map_need_no_order(poses):
     known, drive = maps(TrueComparison(poses, 1.0, 0.02), poses)
     some = known.take(np.random.default_rng(0).permutation(60)[:30])

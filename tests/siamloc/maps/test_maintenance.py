@@ -1,13 +1,16 @@
 """A map follows its building: frames join it where a drive shows that it is out of date, and stale ones leave it."""
 
 import csv
+import shutil
 from dataclasses import replace
+from pathlib import Path
 from unittest.mock import patch
 
 import cv2
 import numpy as np
 import pytest
 
+import siamloc
 from analytic.errors import AnalyticError
 from siamloc.cli import main
 from siamloc.data import FrameTable, PanoramaLibrary
@@ -120,6 +123,22 @@ def test_a_drive_that_states_no_building_is_in_that_of_the_map(known, drives):
     assert found.known.made["upkeep"]["drives"] == ["annex/changed"]
     elsewhere = update(annex, drives[1], stated.with_columns(building=["barn"] * FRAMES), progress=False)
     assert set(named(elsewhere.reason)) <= {"NEW_PLACE", "REPEATED"}, "a building of its own"
+
+
+def test_pictures_of_a_drive_that_cannot_be_read_are_left_out(tmp_path):
+    example = siamloc.data.example(frames=40)
+    for path in example.frames.path:
+        shutil.copy(path, tmp_path)
+    paths = [str(tmp_path / Path(path).name) for path in example.frames.path]
+    frames = example.frames.with_columns(path=paths)
+    monday, tuesday = (frames.select(sequence=day) for day in ("monday", "tuesday"))
+    Path(tuesday.path[5]).write_bytes(b"cut short")
+    images = PanoramaLibrary(frames, tmp_path / "cache", image_size=(16, 64), on_error="skip")
+    for building in ("", "annex"):
+        known = build("hog", images, monday.with_columns(building=[building] * len(monday)), progress=False)
+        found = update(known, images, tuesday, progress=False)
+        assert len(found.drive) == len(found.reason) == len(tuesday) - 1
+        assert set(found.drive.building) == {building}
 
 
 def test_drives_are_counted_one_by_one(known, drives):

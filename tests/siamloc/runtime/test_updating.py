@@ -197,6 +197,20 @@ def test_the_map_and_all_that_has_its_frames_follow(bundle, tmp_path):
     assert update(bundle, tmp_path / "seen") == [], "each drive counts once"
 
 
+def test_pictures_join_the_building_that_they_look_like(images, tmp_path):
+    pictures, frames = drive(1)
+    building = np.where(np.arange(len(images.frames)) % 2, "up", "down")
+    known = replace(mapped(HOG), frames=images.frames.with_columns(building=building))
+    bundle = export(HOG, known, tmp_path / "bundle").path
+    kept_by(Collector(tmp_path / "seen"), painted(pictures), frames)
+    with patch("siamloc.runtime.updating.buildings_of", lambda known, drive, radius: ["down"] * len(drive)):
+        (found,) = update(bundle, tmp_path / "seen", growth=None)
+    assert set(found.drive.building) == {"down"}
+    after = Localizer(bundle).map.frames
+    assert found.added.any()
+    assert set(after.building[len(known) :]) == {"down"}
+
+
 @pytest.mark.parametrize(
     ("called", "given"), [("siamloc.runtime.updating.collected", "seen"), ("foundation.files._flush", "bundle.json")]
 )
