@@ -341,6 +341,16 @@ def concatenate(tables: Sequence[FrameTable]) -> FrameTable:
     return FrameTable(**joined, unit=tables[0].unit, source=source)
 
 
+def room_names(*tables: FrameTable) -> list[NDArray[np.str_]]:
+    """Return unique names of the rooms of each table, with the building only if there are several.
+
+    If a single building is named, frames that state none are taken to be in it.
+    """
+    buildings = [set(table.building.tolist()) for table in tables]
+    several = len(set().union(*buildings) - {""}) > 1 or any(len(one) > 1 for one in buildings)
+    return [table.place if several else table.room for table in tables]
+
+
 def check_units(tables: Iterable[FrameTable]) -> None:
     """Check that tables give their positions in the same unit.
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from siamloc.data.frames import FrameTable
+from siamloc.data.frames import FrameTable, room_names
 from siamloc.errors import DataError
-from siamloc.evaluation.columns import heading_errors, map_columns, match_columns, query_columns, room_names
+from siamloc.evaluation.columns import heading_errors, map_columns, match_columns, query_columns
 from siamloc.evaluation.metrics import (
     error_floor,
     first_rank_within,

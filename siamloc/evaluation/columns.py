@@ -8,19 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from siamloc.data.frames import FrameTable
+from siamloc.data.frames import FrameTable, room_names
 from siamloc.evaluation.metrics import confusion_matrix, heading_error
 from siamloc.maps.error_model import ErrorModel
 from siamloc.maps.joining import RefinedPoses
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
 from siamloc.results import Columns, by_label
-
-
-def room_names(*tables: FrameTable) -> list[NDArray[np.str_]]:
-    """Return unique names of each table's rooms, with the building only if there are several."""
-    buildings = {building for table in tables for building in np.unique(table.building).tolist()}
-    return [table.room if len(buildings) <= 1 else table.place for table in tables]
 
 
 def query_columns(frames: FrameTable, rooms: NDArray[np.str_]) -> Columns:
@@ -76,7 +70,12 @@ def missing_rooms(known: FrameTable, queries: FrameTable, excluded: NDArray[np.b
     """
     in_map, rooms = room_names(known, queries)
     lacking, said = rooms[~np.isin(rooms, in_map) & (rooms != "")], list[str]()
-    if len(lacking):
+    if len(lacking) and (bare := int(((queries.building == "") & (rooms != "") & ~np.isin(rooms, in_map)).sum())):
+        named = ", ".join(sorted(set(known.building.tolist()) - {""}))
+        said.append(
+            f"{bare} queries state no building, and the rooms of the map are those of {named}: give the column building"
+        )
+    elif len(lacking):
         said.append(
             f"{len(lacking)} of {len(rooms)} queries are in rooms that the map lacks ({_listed(lacking)}), and cannot "
             "be found there: add frames of these rooms to the map (protocol.map), or leave those queries out "

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.columns import Rows
-from siamloc.data.frames import FrameTable
-from siamloc.evaluation.columns import heading_errors, room_names
+from siamloc.data.frames import FrameTable, room_names
+from siamloc.evaluation.columns import heading_errors
 from siamloc.evaluation.metrics import error_floor, localization_error, recall_from_ranks, summarize
 from siamloc.results import Columns
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import analytic
 from foundation.calls import OF_FIELDS, takes
 from foundation.settings import Count, NotNegative, Settings
-from siamloc.evaluation.columns import room_names
+from siamloc.data.frames import room_names
 from siamloc.evaluation.offsets import overlapping_buildings
 from siamloc.evaluation.result import Result
 from siamloc.maps import Built

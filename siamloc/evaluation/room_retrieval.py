@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from siamloc.data.frames import FrameTable
-from siamloc.evaluation.columns import confusions, map_columns, query_columns, right_share, room_names
+from siamloc.data.frames import FrameTable, room_names
+from siamloc.evaluation.columns import confusions, map_columns, query_columns, right_share
 from siamloc.evaluation.metrics import pair_accuracy, pair_dissimilarity, pair_threshold_curve
 from siamloc.evaluation.result import Result
 from siamloc.maps.search import Retrieval

@@ -11,7 +11,7 @@ from siamloc.maps.search import slices
 from siamloc.maps.visual_map import VisualMap
 
 _REACH = 3.0  # times the radius: buildings lie over each other where their map frames differ by at most this distance
-_AROUND = 15  # frames of a drive before and after one that are judged together with it
+_CHANGE = 3.0  # what a change of floors costs, in units of how unlike map frames of the right floor usually look
 _AT_ONCE = 64  # frames that are compared with the map frames around them
 
 
@@ -19,9 +19,9 @@ def buildings_of(known: VisualMap, drive: VisualMap, radius: float = 1.0) -> NDA
     """Return the building of each frame of a drive in a map (n,).
 
     It is the one that the frame states, or all frames of its drive that state any, if the map has frames of it; else
-    that of the nearest map frame. Where buildings lie over each other, as the floors of a house do, it is the one whose
-    frames around there look most like the drive, summed over 15 frames before and after: where a drive changes floors
-    is known no better than that.
+    that of the nearest map frame. Where buildings lie over each other, as the floors of a house do, the frames around
+    there that look most like those of the drive tell the floor, for all of the drive at once: it changes floors only
+    where enough frames say so.
 
     Args:
         known: a map with frames that have positions.
@@ -39,24 +39,35 @@ def buildings_of(known: VisualMap, drive: VisualMap, radius: float = 1.0) -> NDA
     if len(names) == 1 or not len(asked):
         building[asked] = names[0]
         return building.astype(np.str_)
-    there, unlike = np.zeros((len(drive), len(names)), dtype=bool), np.zeros((len(drive), len(names)))
+    unlike = np.zeros((len(drive), len(names)))
     for part in (asked[part] for part in slices(len(asked), _AT_ONCE)):
         xy = drive.frames.xy[part]
         apart = np.hypot(xy[:, :1] - known.frames.x, xy[:, 1:] - known.frames.y)
         around = apart <= apart.min(axis=1, keepdims=True) + _REACH * radius
         of = np.stack([around & (number == one) for one in range(len(names))])
-        there[part] = of.any(axis=2).T
-        if (there[part].sum(axis=1) > 1).any():
+        unlike[part] = np.where(of.any(axis=2).T, 0.0, np.inf)
+        if (np.isfinite(unlike[part]).sum(axis=1) > 1).any():
             rows = np.flatnonzero(around.any(axis=0))
             distances = learned_distances(known.take(rows), drive.turning(part))
-            least = np.where(of[:, :, rows], distances, np.inf).min(axis=2).T
-            unlike[part] = np.where(there[part], least, np.where(there[part], least, 0).max(axis=1, keepdims=True))
+            unlike[part] = np.where(of[:, :, rows], distances, np.inf).min(axis=2).T
+    usual = float(np.median(unlike[asked].min(axis=1)))
     for of in drives:
-        for column in unlike.T:
-            column[of] = np.convolve(column[of], np.ones(2 * _AROUND + 1))[_AROUND : _AROUND + len(of)]
-    unlike[~there] = np.inf
-    building[asked] = names[unlike[asked].argmin(axis=1)]
+        of = of[building[of] == ""]
+        building[of] = names[_cheapest(unlike[of], _CHANGE * usual)]
     return building.astype(np.str_)
+
+
+def _cheapest(costs: NDArray[np.float64], change: float) -> NDArray[np.int64]:
+    """Return which of b columns to be in at each of n rows (n,), where each costs (n, b), and so does each change."""
+    best, came = np.zeros(costs.shape[1]), list[NDArray[np.int64]]()
+    for cost in costs:
+        first = best.argmin()
+        came.append(np.where(best > best[first] + change, first, np.arange(len(best))))
+        best = np.minimum(best, best[first] + change) + cost
+    path = [int(best.argmin())]
+    for before in came[:0:-1]:
+        path.append(int(before[path[-1]]))
+    return np.array(path[::-1])
 
 
 def nearest(known: FrameTable, drive: FrameTable) -> NDArray[np.int64]:

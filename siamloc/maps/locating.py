@@ -44,8 +44,8 @@ def locate(
     Raises:
         ConfigError: a map whose descriptor does not compare images, or whose distances are not Euclidean, or a drive
             that was described differently.
-        DataError: a map that is not in metres, a map frame without a pose, or a drive that `siamloc.maps.survey` would
-            refuse, such as one that has no place in common with the map.
+        DataError: a map that is not in metres, a map frame without a pose, a drive of a building that the map lacks, or
+            one that `siamloc.maps.survey` would refuse, such as one that has no place in common with the map.
 
     Example:
         >>> tuesday = siamloc.maps.build("pretrained", images, frames, mounting=known.mounting)  # doctest: +SKIP
@@ -65,6 +65,12 @@ def locate(
         raise DataError(f"the odometry of the drive cannot be used: {finding}")
     if not (known.frames.has_position & np.isfinite(known.frames.theta)).all():
         raise DataError("a map frame has no pose: a drive is located in a map whose frames have x, y and theta")
+    there, stated = (sorted(set(one.frames.building.tolist())) for one in (known, drive))
+    if "" not in there and (others := set(stated) - {"", *there}):
+        raise DataError(
+            f"the drive states the building {', '.join(sorted(others))}, and the map has {', '.join(there)}: name one "
+            "that the map has, or leave the column building out"
+        )
     of_map = np.arange(len(known) + len(drive)) < len(known)
     names = [f"the map's {name}" for name in known.frames.sequence.tolist()]  # the drive may be in the map already
     known = replace(known, frames=known.frames.with_columns(sequence=names))

@@ -281,6 +281,13 @@ def updated(
     if (unstated := drive.frames.building == "").any():
         building = np.where(unstated, buildings_of(known, drive, settings.radius), drive.frames.building)
         drive = replace(drive, frames=drive.frames.with_columns(building=building))
+    there = set(known.frames.building.tolist())
+    if "" in there and (others := sorted(set(drive.frames.building.tolist()) - there)):
+        logger.warning(
+            "drive %s states the building %s, and frames of the map state none: it is taken for another building; if "
+            "it is the same, leave the column building out",
+            *(drive.frames.sequence[0], ", ".join(others)),
+        )
     upkeep = _upkeep(known, settings)
     found = judged(known, drive, settings.radius)
     reason, contradicted = _joining(known, drive, found, built, upkeep["usual"], settings)
@@ -356,7 +363,8 @@ def _joining(
     if near >= settings.window and contradicts.sum() > _MOST * near:
         logger.warning(
             "%d of %d frames of drive %s taken in known places contradict the map: the light may be another one, but "
-            "look whether its camera is that of the map, uncovered and upright, and whether its positions are right",
+            "look whether its camera is that of the map, uncovered and upright, and whether positions and building are "
+            "right",
             contradicts.sum(),
             near,
             drive.frames.sequence[0],

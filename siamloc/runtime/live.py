@@ -23,6 +23,7 @@ from foundation.calls import typed
 from foundation.columns import spread_rows
 from foundation.files import plain
 from foundation.settings import Pace, Port, Text
+from siamloc.data.frames import room_names
 from siamloc.data.occupancy import read_occupancy
 from siamloc.errors import ConfigError, DataError, SiamlocError
 from siamloc.runtime.localizer import Localizer
@@ -278,7 +279,7 @@ class Live:
         frames = self._localizer.map.frames
         rows = np.flatnonzero(frames.has_position)
         rows = rows[spread_rows(len(rows), _DOTS)]
-        rooms, room = np.unique(frames.room[rows], return_inverse=True)
+        rooms, room = np.unique(room_names(frames)[0][rows], return_inverse=True)
         about: dict[str, Any] = {
             "bundle": self._localizer.bundle.path.name,
             "unit": self._localizer.unit,

@@ -18,6 +18,7 @@ from foundation.calls import typed
 from foundation.files import real_path
 from foundation.settings import Count, checked
 from siamloc.data.decoding import Preprocessing
+from siamloc.data.frames import room_names
 from siamloc.data.image_files import UnreadableImageError
 from siamloc.data.panorama import OmnidirectionalCamera
 from siamloc.errors import ConfigError, DataError, FormatError, say_once
@@ -101,6 +102,7 @@ class Localizer:
         self._top = top
         read_whole(bundle_path, partial(self._read, bundle_path, camera, threads, providers, hierarchical))
         self._placed = self.map.placed() if self.map.frames.has_position.any() else None
+        self._rooms = room_names(self.map.frames)[0]
         network = self._network
         self._compare = network.compare if network is not None and network.compares else None
         relative = self._refinement is not None and self._refinement.method == "relative"
@@ -262,14 +264,14 @@ class Localizer:
         found, frames = self._found(panorama, query), self.map.frames
         rows, apart = found.indices[0, : self._top].tolist(), found.distances[0, : self._top].tolist()
         candidates = tuple(
-            Candidate(str(frames.path[row]), x, y, str(frames.room[row]), distance, row)
+            Candidate(str(frames.path[row]), x, y, str(self._rooms[row]), distance, row)
             for row, (x, y), distance in zip(rows, frames.xy[rows].tolist(), apart, strict=True)
         )
         pose, error, lost = self._estimates(query, found)
-        known, row, covariance, of_map = self.map, candidates[0].row, None, 0.0
+        known, rooms, row, covariance, of_map = self.map, self._rooms, candidates[0].row, None, 0.0
         if isinstance(tracker, SequenceFilter):
             assert self._placed is not None
-            known, pose = self._placed, None
+            known, rooms, pose = self._placed, self._rooms[frames.has_position], None
             row = int(tracker.step(frame_distances(known, query)[0], motion).argmax())
             found = Retrieval(np.array([[row]]), np.zeros((1, 1)))
             # A frame stands for all places up to half a spacing from it, in either direction.
@@ -289,7 +291,7 @@ class Localizer:
             x=float(xy[0]),
             y=float(xy[1]),
             theta=float(theta[0]),
-            room=str(known.frames.room[found.most_alike[0]]),
+            room=str(rooms[found.most_alike[0]]),
             error_m=error,
             lost=lost,
             candidates=candidates,

@@ -38,7 +38,8 @@ class Location:
         y: position, as x.
         theta: heading in rad in (-pi, pi], counter-clockwise; NaN if the bundle gives no headings, or if the heading of
             the nearest map frame is unknown.
-        room: room of the map frame that looks most like the image, or ""; if a coarse layer is searched first, room of
+        room: room of the map frame that looks most like the image, or "", with the building before it, as in
+            "top/office", if the map has several; if a coarse layer is searched first, room of
             the nearest map frame; with a `SequenceFilter`, room of the map frame where the robot is tracked.
         error_m: expected error of x and y in their unit, metres by default; NaN if the bundle holds no error model, or
             if the image shows nothing of what the map shows. In a surveyed map it is the distance to where the map has

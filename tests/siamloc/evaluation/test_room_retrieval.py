@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from siamloc.evaluation import metrics, room_retrieval
+from siamloc.evaluation.columns import missing_rooms
 from siamloc.evaluation.room_retrieval import evaluate_pairs
 from tests.siamloc.evaluation import scenes
 from tests.siamloc.evaluation.scenes import evaluate_rooms
@@ -116,3 +117,14 @@ def test_equal_room_codes_of_two_buildings_are_different_rooms() -> None:
     result = evaluate_rooms(known, scenes.describe(queries), queries)
     assert result.columns["correct"].tolist() == [True, False]
     assert result.parts["room_retrieval"]["rooms_missing_in_map"] == ["frei/KT"]
+
+
+def test_queries_that_state_no_building_are_in_the_only_one_of_the_map() -> None:
+    queries = scenes.frames(2, 2, room=np.array(["KT"] * 2))
+    known = scenes.visual_map(3, room=np.array(["KT"] * 3), building=np.array(["saar"] * 3))
+    assert evaluate_rooms(known, scenes.describe(queries), queries).columns["correct"].all()
+    several = scenes.visual_map(3, room=np.array(["KT"] * 3), building=np.array(["saar", "saar", "frei"]))
+    found = evaluate_rooms(several, scenes.describe(queries), queries)
+    assert not found.columns["correct"].any()
+    said = missing_rooms(several.frames, queries)
+    assert said.startswith("2 of 2 queries state no building, and the rooms of the map are those of frei, saar: give")

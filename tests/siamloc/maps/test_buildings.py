@@ -54,6 +54,15 @@ def test_frames_in_a_row_decide_together(known):
     assert set(buildings_of(known, seen)) == {"top"}
 
 
+@pytest.mark.parametrize(("first", "frames"), [(0, 6), (17, 8), (34, 6)])
+def test_a_short_stay_on_another_floor_is_told_to_the_frame(known, first, frames):
+    true = np.full(40, "ground", dtype=object)
+    true[first : first + frames] = "top"
+    look = np.column_stack([np.arange(40) + 0.1, [LOOK[one] for one in true]])
+    seen = replace(drive("ground", stated=""), descriptors=look)
+    assert buildings_of(known, seen).tolist() == true.tolist()
+
+
 def test_each_drive_is_on_a_floor_of_its_own(known):
     seen = drive("top", stated="", frames=20).merge(named("g", drive("ground", stated="", frames=20)))
     assert buildings_of(known, seen).tolist() == ["top"] * 20 + ["ground"] * 20

@@ -80,6 +80,9 @@ def test_located_frames_are_in_the_building_that_they_look_like(poses, monkeypat
     found = locate(known, drive, progress=False)
     np.testing.assert_array_equal(found.building, np.where(found.x > 0, "up", "down"))
     assert len(set(found.building)) == 2
+    elsewhere = replace(drive, frames=drive.frames.with_columns(building=["barn"] * 60))
+    with pytest.raises(DataError, match="the drive states the building barn, and the map has down, up: name one that"):
+        locate(known, elsewhere, progress=False)
 
 
 def test_the_frames_of_a_map_need_no_order(poses):

@@ -114,7 +114,7 @@ def test_a_drive_is_counted_once(known, drives, caplog):
     assert "the map counted drive annex/same before" in caplog.text
 
 
-def test_a_drive_that_states_no_building_is_in_that_of_the_map(known, drives):
+def test_a_drive_that_states_no_building_is_in_that_of_the_map(known, drives, caplog):
     stated = drives[2]["changed"].with_columns(building=["annex"] * FRAMES)
     annex = replace(known, frames=known.frames.with_columns(building=["annex"] * FRAMES))
     wanted, found = (update(annex, drives[1], one, progress=False) for one in (stated, drives[2]["changed"]))
@@ -123,6 +123,9 @@ def test_a_drive_that_states_no_building_is_in_that_of_the_map(known, drives):
     assert found.known.made["upkeep"]["drives"] == ["annex/changed"]
     elsewhere = update(annex, drives[1], stated.with_columns(building=["barn"] * FRAMES), progress=False)
     assert set(named(elsewhere.reason)) <= {"NEW_PLACE", "REPEATED"}, "a building of its own"
+    assert not caplog.messages
+    update(known, drives[1], stated, progress=False)
+    assert "drive changed states the building annex, and frames of the map state none" in caplog.text
 
 
 def test_pictures_of_a_drive_that_cannot_be_read_are_left_out(tmp_path):

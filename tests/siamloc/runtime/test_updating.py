@@ -209,6 +209,9 @@ def test_pictures_join_the_building_that_they_look_like(images, tmp_path):
     after = Localizer(bundle).map.frames
     assert found.added.any()
     assert set(after.building[len(known) :]) == {"down"}
+    location = Localizer(bundle).locate(pictures[0])
+    assert location.room == location.candidates[0].room
+    assert location.room.split("/")[0] in ("up", "down"), "which floor"
 
 
 @pytest.mark.parametrize(
