@@ -152,8 +152,8 @@ def _of_camera(file: Path) -> tuple[float, bool] | None:
 def _of_each(times: Sequence[float], count: int) -> Array | None:
     """Return the times of `count` pictures as an array; None if a picture lacks its time, or too many share one time.
 
-    Times that most pictures share say when the drive was, not when each picture was taken. Pictures of one second, by a
-    clock that counts seconds, are spread over this second.
+    Times that most pictures share say when the drive was, not when each picture was taken. A clock that counts seconds
+    cuts off fractions: the pictures of a second are spread over it, and a single one is put in its middle.
     """
     if len(times) != count or len(set(times)) < max(count / _A_SECOND, min(count, 2)):
         return None
@@ -161,7 +161,7 @@ def _of_each(times: Sequence[float], count: int) -> Array | None:
     if not (made % 1).any():
         order = np.argsort(made, kind="stable")
         first, after = (np.searchsorted(made[order], made[order], side=side) for side in ("left", "right"))
-        made[order] += (np.arange(count) - first) / (after - first)
+        made[order] += (np.arange(count) - first + 0.5) / (after - first)
     return made
 
 

@@ -38,14 +38,14 @@ def taken(*fractions, zone=None):
 @pytest.mark.parametrize(
     ("names", "fractions"),
     [
-        (["IMG_20260512_105958.jpg", "IMG_20260512_110000.jpg", "IMG_20260512_110003.jpg"], [0, 2, 5]),
+        (["IMG_20260512_105958.jpg", "IMG_20260512_110000.jpg", "IMG_20260512_110003.jpg"], [0.5, 2.5, 5.5]),
         (["20260512_105958_250.jpg", "20260512_105958_750.jpg", "20260512_110000_125.jpg"], [0.25, 0.75, 2.125]),
         (["PXL_20260512_105958250.jpg", "PXL_20260512_110000125.MP.jpg"], [0.25, 2.125]),
-        (["20260512105958.png", "20260512110000.png"], [0, 2]),
-        (["2026-05-12 10.59.58.jpg", "2026-05-12 11.00.00.jpg"], [0, 2]),
-        (["Image 2026-05-12 at 10.59.58.jpg", "Image 2026-05-12 at 11.00.00.jpg"], [0, 2]),
-        (["IMG_20260512_105958_00_001.jpg", "IMG_20260512_110000_00_002.jpg"], [0, 2]),
-        (["20260512_105958_001.jpg", "20260512_110000_002.jpg", "20260512_110003_003.jpg"], [0, 2, 5]),
+        (["20260512105958.png", "20260512110000.png"], [0.5, 2.5]),
+        (["2026-05-12 10.59.58.jpg", "2026-05-12 11.00.00.jpg"], [0.5, 2.5]),
+        (["Image 2026-05-12 at 10.59.58.jpg", "Image 2026-05-12 at 11.00.00.jpg"], [0.5, 2.5]),
+        (["IMG_20260512_105958_00_001.jpg", "IMG_20260512_110000_00_002.jpg"], [0.5, 2.5]),
+        (["20260512_105958_001.jpg", "20260512_110000_002.jpg", "20260512_110003_003.jpg"], [0.5, 2.5, 5.5]),
     ],
 )
 def test_dates_in_the_names_of_telephones_and_cameras(tmp_path, names, fractions, caplog):
@@ -158,11 +158,11 @@ def test_pictures_without_times_are_joined_with_nothing(tmp_path):
 
 
 def test_pictures_of_one_second_are_spread_over_it(tmp_path):
-    clocks = [f"2026:05:12 12:59:{58 + number // 4:02d}" for number in range(8)]
-    files = pictures(
-        tmp_path / "monday", [f"R00{number}.jpg" for number in range(8)], [{0x9003: one} for one in clocks]
-    )
-    np.testing.assert_allclose(taken_at(files) - taken_at(files)[0], np.arange(8) / 4)
+    """A clock that counts seconds cuts off fractions, so that times are right on average; file names give the order."""
+    clocks = [f"2026:05:12 12:59:{50 + number // 4}" for number in range(9)]
+    names = [f"R00{number}.jpg" for number in range(9)]
+    files = pictures(tmp_path / "monday", names, [{0x9003: one, 0x9011: "+02:00"} for one in clocks])
+    np.testing.assert_allclose(taken_at(files) - START + 8, [*(np.arange(8) / 4 + 0.125), 2.5], atol=1e-6)
 
 
 def test_images_take_no_longer_than_the_trajectory(tmp_path):
