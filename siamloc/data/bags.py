@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cached_property
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.extras import need
-from siamloc.data.image_files import UnreadableImageError, bits_used
+from siamloc.data.image_files import UnreadableImageError, bits_used, cut_short
 from siamloc.data.trajectory import Trajectory, composed
 from siamloc.errors import DataError, SiamlocError, hint, logger
 
@@ -51,6 +52,7 @@ _ENCODINGS: dict[str, tuple[int, str, int | None]] = {
     **dict.fromkeys(("yuv422_yuy2", "yuyv"), (2, "u1", cv2.COLOR_YUV2RGB_YUY2)),
 }
 _ENCODINGS |= {f"{name[:-1]}16": (one, "u2", code) for name, (one, _, code) in _ENCODINGS.items() if name[-1] == "8"}
+_MOSAIC = re.compile(r"(bayer_\w+); *\w+ compressed *")  # formats of converted pictures end with their encoding
 _FILES = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png"}  # the first bytes of compressed images
 _NOT_OF_THE_ROBOT = ("goal", "initialpose", "target")  # in topics of poses where someone wants the robot to be
 _NOT_PICTURES = ("depth", "disparity")  # in topics of images that show no light
@@ -95,8 +97,8 @@ class Bag:
     ) -> Iterator[tuple[int, bytes | NDArray[np.uint8] | UnreadableImageError, str]]:
         """Yield the time in ns of each image of a topic, the image, and the ending of its file.
 
-        A compressed image comes as the bytes of its file, others as pixels (rows, columns, 3), RGB. An image that
-        cannot be used comes as the error that says why.
+        A compressed image comes as the bytes of its file, in colour; others as pixels (rows, columns, 3), RGB. An
+        image that cannot be used comes as the error that says why.
 
         Raises:
             DataError: no such topic, or one without images; an encoding that is not known; or a bag cut short.
@@ -112,7 +114,7 @@ class Bag:
             content, kind = bytes(message.data), message.format.lower()
             ending = next((end for begin, end in _FILES.items() if content.startswith(begin)), None)
             if ending is not None:
-                yield time, content, ending
+                yield time, demosaiced(content, message.format), ending
             elif "depth" not in kind and any(word in kind for word in ("jpeg", "jpg", "png")):
                 reason = f"the image at {time / 1e9:.3f} s, of {len(content)} bytes, is neither JPEG nor PNG"
                 yield time, UnreadableImageError(reason), ""
@@ -291,6 +293,24 @@ class Bag:
                 f"{self.path} cannot be read as a ROS bag ({reason.rstrip('.')}): it is damaged or cut short; `rosbag "
                 "reindex` or `ros2 bag reindex` may repair it"
             ) from error
+
+
+def demosaiced(content: bytes, form: str) -> bytes:
+    """Return the content of a compressed image in colour if it is the mosaic of a Bayer sensor, and else as it is.
+
+    Args:
+        content: a JPEG or PNG file.
+        form: the format that the message names, such as "bayer_rggb8; jpeg compressed ".
+    """
+    mosaic = _MOSAIC.fullmatch(form)
+    code = _ENCODINGS.get(mosaic[1], (1, "", None))[2] if mosaic else None
+    if code is not None and not cut_short(content):
+        with suppress(cv2.error):
+            stored = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+            if stored is not None and stored.ndim == 2:
+                ending = ".png" if content.startswith(b"\x89PNG") else ".jpg"
+                return cv2.imencode(ending, cv2.cvtColor(stored, code)[:, :, ::-1])[1].tobytes()
+    return content
 
 
 def _stamp(message: Any) -> int:

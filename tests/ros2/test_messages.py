@@ -41,6 +41,17 @@ def test_a_compressed_image_is_rgb(messages):
     np.testing.assert_array_equal(found, pixels)
 
 
+@pytest.mark.parametrize(
+    ("form", "grey"), [("bayer_rggb8; jpeg compressed ", False), ("bayer_rggb8; jpeg compressed mono8", True)]
+)
+def test_a_compressed_mosaic_is_as_colourful_as_those_of_the_map(messages, form, grey):
+    mosaic = np.zeros((16, 16), np.uint8)
+    mosaic[::2, ::2] = 200
+    data = array("B", cv2.imencode(".jpg", mosaic)[1].tobytes())
+    red, green, blue = messages.pixels(CompressedImage(format=form, data=data)).reshape(-1, 3).mean(axis=0)
+    assert (red == green == blue) if grey else (red > 150 > 40 > max(blue, green))
+
+
 def test_a_compressed_image_of_twelve_bits_is_as_bright_as_those_of_the_map(messages):
     data = cv2.imencode(".png", np.full((3, 4), 800, np.uint16))[1].tobytes()
     message = CompressedImage(format="16UC1; png compressed", data=array("B", data))

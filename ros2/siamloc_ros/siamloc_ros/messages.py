@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
 
+from siamloc.data.bags import demosaiced
 from siamloc.data.image_files import UnreadableImageError, decode_image
 from siamloc.data.moves import composed, euler, inverse
 from siamloc.errors import DataError
@@ -41,7 +42,7 @@ def pixels(message: Image | CompressedImage, bits: int | None = None) -> NDArray
     data = np.frombuffer(message.data, dtype=np.uint8)
     if isinstance(message, CompressedImage):
         try:
-            image = decode_image(data.tobytes(), bits=bits)
+            image = decode_image(demosaiced(data.tobytes(), message.format), bits=bits)
         except UnreadableImageError as error:
             raise DataError(
                 f"a compressed image of {len(data)} bytes in the format {message.format!r} is damaged: {error}"

@@ -167,13 +167,19 @@ def test_images_of_twelve_bits_are_brightened_alike(tmp_path, form, caplog):
 
 
 @pytest.mark.parametrize("bits", [8, 16])
-def test_the_order_of_bayer_patterns(tmp_path, bits):
-    """A picture of one colour shows which pixels are red."""
+@pytest.mark.parametrize("ending", ["", "jpeg", "png"])
+def test_the_order_of_bayer_patterns(tmp_path, bits, ending):
+    """A picture of one colour shows which pixels are red, also where the mosaic is compressed."""
     mosaic = np.zeros((48, 64), f"<u{bits // 8}")
     mosaic[::2, ::2] = 200 << (bits - 8)
     bag = Written(tmp_path / "bag", "sqlite3")
     with bag.writer:
-        bag.image("/image", START, mosaic, f"bayer_rggb{bits}")
+        if ending:
+            data = cv2.imencode(f".{ending}", mosaic)[1].ravel()
+            fields = {"header": bag.header(START), "format": f"bayer_rggb{bits}; {ending} compressed ", "data": data}
+            bag.write("/image/compressed", "sensor_msgs/msg/CompressedImage", START, **fields)
+        else:
+            bag.image("/image", START, mosaic, f"bayer_rggb{bits}")
     (path,) = siamloc.data.extract(bag.path, tmp_path / "out").path.tolist()
     blue, green, red = cv2.imread(path).reshape(-1, 3).mean(axis=0)
     assert red > 150 > 40 > max(blue, green)
