@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import Any
+from typing import Any, NoReturn
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -83,17 +83,19 @@ def run(command: str, words: list[str]) -> None:
     try:
         hydra.main(version_base="1.3", config_path=_path(kind), config_name=_NAME)(job)()
     except Exception as error:
-        raise _explained(error, given, kind) from error
+        _raise_explained(error, given, kind)
     finally:
         sys.argv = arguments
         os.environ.update(before)
     if failed:
         first, sweep = failed[0]
-        problem = _explained(first, given, kind)
-        if sweep.words and isinstance(problem, SiamlocError):
+        try:
+            _raise_explained(first, given, kind)
+        except SiamlocError as problem:
+            if not sweep.words:
+                raise
             where = " ".join(f"{key}={word}" for key, word in sweep.words.items())
             raise SiamlocError(f"{problem} (at {where}, which ended the sweep; jobs not run: {not_run})") from problem
-        raise problem
 
 
 def composed(command: str, words: list[str]) -> Job:
@@ -109,7 +111,7 @@ def composed(command: str, words: list[str]) -> Job:
     try:
         return _made(kind, compose_values(kind, words), words)
     except Exception as error:
-        raise _explained(error, words, kind) from error
+        _raise_explained(error, words, kind)
 
 
 def compose_values(kind: type[Job], words: list[str]) -> DictConfig:
@@ -283,6 +285,13 @@ def _sweep(command: str, words: list[str]) -> list[str]:
     return [*settings, *(["run=runs/sweep"] if trains and not named else []), *words]
 
 
+def _raise_explained(error: Exception, words: list[str], kind: type[Job]) -> NoReturn:
+    problem = _explained(error, words, kind)
+    if problem is error:  # which keeps its own cause
+        raise error
+    raise problem from error
+
+
 def _explained(error: Exception, words: list[str], kind: type[Job]) -> Exception:
     """Turn errors of Hydra and OmegaConf into one sentence with the nearest valid name; leave others alone."""
     from hydra.errors import HydraException
@@ -298,7 +307,8 @@ def _explained(error: Exception, words: list[str], kind: type[Job]) -> Exception
     if isinstance(error, DataError) and (of_data or recorded):
         recorded = recorded and (not of_data or any(word.startswith("recording.") for word in words))
         group = "recording" if recorded else "data"
-        return type(error)(_OF_A_READER.sub(rf"{group}.\1=", str(error)))
+        error.args = tuple(_OF_A_READER.sub(rf"{group}.\1=", str(part)) for part in error.args)
+        return error
     text = " ".join(str(error).split())
     index = re.search(r"invalid literal for int\(\) .*'(\w+)'", text) if type(error) is ValueError else None
     if index and (keys := [key for key in map(key_of, words) if f".{index[1]}" in key]):  # a key inside a list

@@ -26,19 +26,19 @@ Distances = NDArray[np.float64] | np.float64
 
 
 class WrongAxesError(DataError):
-    """The positions of a drive are not where a map locates its frames.
+    """The positions of a drive are not where a map locates its frames; the only argument says how they differ."""
 
-    Attributes:
-        finding: how they differ; the message of the error also says what to do with them in a table.
-    """
+    @property
+    def finding(self) -> str:
+        """How they differ; the message of the error also says what to do with them in a table."""
+        return str(self.args[0])
 
-    def __init__(self, finding: str) -> None:
-        super().__init__(
-            f"{finding}. Leave x, y and theta out, so that the drive is located in the map, or give them as odom_x, "
-            "odom_y and odom_theta. If the drive shows a place that the map lacks, and that only looks like one of its "
-            "own, give its frames another name in the column building"
+    def __str__(self) -> str:
+        return (
+            f"{self.finding}. Leave x, y and theta out, so that the drive is located in the map, or give them as "
+            "odom_x, odom_y and odom_theta. If the drive shows a place that the map lacks, and that only looks like "
+            "one of its own, give its frames another name in the column building"
         )
-        self.finding = finding
 
 
 def check_axes(known: VisualMap, drive: VisualMap, alike: Retrieval, located: NDArray[np.int64], radius: float) -> None:

@@ -1,3 +1,4 @@
+import pickle
 import re
 import shlex
 import shutil
@@ -8,12 +9,14 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from foundation.words import as_words
+from siamloc.cli import main
 from siamloc.cli.completion import candidates
 from siamloc.cli.compose import composed
 from siamloc.data import Protocol
 from siamloc.errors import ConfigError
 from siamloc.jobs import Evaluate, MapFrames, Prepare, Pretrain, Preview, Report, SurveyDrives, Train, Walk
 from siamloc.jobs.options import choices, config_folder, groups, option
+from siamloc.maps.axes import WrongAxesError
 from tests.siamloc.cli.commands import done, refused
 
 CALIBRATION = """\
@@ -231,3 +234,21 @@ def test_proposed_words_are_read_as_they_were_meant(name):
     assert (localize.folder, list(localize.images)) == (Path(name), [name, "b"])
     compare = composed("compare", shlex.split(as_words({"runs": [name, "b"], "out": name})))
     assert (compare.out, compare.runs) == (name, (name, "b"))
+
+
+def test_an_error_of_a_reader_stays_itself_with_the_keys_of_the_command(monkeypatch):
+    raised, cause = WrongAxesError("the clocks differ, give offset=SECONDS"), KeyError("time")
+
+    def fails(job, say):
+        raised.__cause__ = cause
+        raise raised
+
+    monkeypatch.setattr(Prepare, "run", fails)
+    with pytest.raises(WrongAxesError, match=r"give data\.offset=SECONDS\. Leave x") as found:
+        main(["prepare", "data=folder", "data.root=x", "--debug"])
+    assert found.value is raised
+    assert raised.__cause__ is cause
+    assert "fails" in [entry.name for entry in found.traceback]
+    copied = pickle.loads(pickle.dumps(raised))
+    assert (str(copied), copied.finding) == (str(raised), raised.finding)
+    assert str(copied).count("Leave x") == 1
