@@ -28,6 +28,8 @@ ODOMETRY = ("nav_msgs/msg/Odometry",)
 POSES = tuple(f"geometry_msgs/msg/{name}Stamped" for name in ("Pose", "PoseWithCovariance", "Transform"))
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 CALIBRATION = ("sensor_msgs/msg/CameraInfo",)
+METADATA = "metadata.yaml"
+"""The file in the folder of a ROS 2 bag that says which files belong to it, and how they are compressed."""
 KINDS = {
     **dict.fromkeys(IMAGES, "images"),
     **dict.fromkeys(ODOMETRY, "odometry"),
@@ -51,7 +53,7 @@ _ENCODINGS: dict[str, tuple[int, str, int | None]] = {
     **dict.fromkeys(("yuv422", "uyvy"), (2, "u1", cv2.COLOR_YUV2RGB_UYVY)),
     **dict.fromkeys(("yuv422_yuy2", "yuyv"), (2, "u1", cv2.COLOR_YUV2RGB_YUY2)),
 }
-_ENCODINGS |= {f"{name[:-1]}16": (one, "u2", code) for name, (one, _, code) in _ENCODINGS.items() if name[-1] == "8"}
+_ENCODINGS |= {name.replace("8", "16"): (one, "u2", code) for name, (one, _, code) in _ENCODINGS.items() if "8" in name}
 _MOSAIC = re.compile(r"(bayer_\w+); *\w+ compressed *")  # formats of converted pictures end with their encoding
 _FILES = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png"}  # the first bytes of compressed images
 _NOT_OF_THE_ROBOT = ("goal", "initialpose", "target")  # in topics of poses where someone wants the robot to be
@@ -257,6 +259,8 @@ class Bag:
 
     def _numbers(self, topic: str, message: Any) -> NDArray[Any]:
         """Return the numbers of a raw image (rows, columns, channels)."""
+        if message.encoding == "16UC1" and any(word in topic.lower() for word in _NOT_PICTURES):
+            raise DataError(f"{self.path}: images of {topic} hold depths (16UC1), and no light")
         if message.encoding not in _ENCODINGS:
             raise DataError(
                 f"{self.path}: images of {topic} have the encoding {message.encoding!r}; "
@@ -289,10 +293,10 @@ class Bag:
             raise
         except Exception as error:
             reason = " ".join(str(error).split()) or type(error).__name__
-            raise DataError(
-                f"{self.path} cannot be read as a ROS bag ({reason.rstrip('.')}): it is damaged or cut short; `rosbag "
-                "reindex` or `ros2 bag reindex` may repair it"
-            ) from error
+            remedy = "it is damaged or cut short; `rosbag reindex` or `ros2 bag reindex` may repair it"
+            if (self.path.parent / METADATA).is_file():  # which says whether the messages are compressed
+                remedy = f"name its folder, {self.path.parent}"
+            raise DataError(f"{self.path} cannot be read as a ROS bag ({reason.rstrip('.')}): {remedy}") from error
 
 
 def demosaiced(content: bytes, form: str) -> bytes:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from foundation.calls import OF_FIELDS, takes, typed
 from foundation.files import expanded, read_json, real_path, write_bytes, write_json, write_picture, write_text
 from foundation.settings import Count, Positive, Settings, Text
-from siamloc.data.bags import KINDS, Bag, Clock, proposed
+from siamloc.data.bags import KINDS, METADATA, Bag, Clock, proposed
 from siamloc.data.films import COUNTED, Film
 from siamloc.data.frames import BAGS, VIDEOS, FrameTable, advice, placed
 from siamloc.data.image_files import UnreadableImageError, decode_image
@@ -25,7 +25,7 @@ from siamloc.data.reading import read
 from siamloc.data.recorded import COLUMNS_OF, check_clocks, check_taken, images_of, joined
 from siamloc.data.trajectory import Array, Axes, Form, Order, Trajectory, read_trajectory
 from siamloc.data.trajectory_checks import doubts
-from siamloc.errors import ConfigError, DataError, Policy, leave_out, logger
+from siamloc.errors import ConfigError, DataError, Policy, leave_out, logger, say_once
 from siamloc.progress import track
 
 SOURCES = ("images", "poses", "odometry")
@@ -34,6 +34,7 @@ MANIFEST = "frames.csv"
 CALIBRATION = "camera_info.json"
 """The calibrations of the cameras in a bag, by topic."""
 _KEPT = "recording.json"
+_ABOVE = ("map:", "world:")  # frames that poses are given in
 _QUALITY = 95  # of the JPEG files of images that were not compressed
 
 
@@ -117,6 +118,8 @@ class Contents:
             usable = f"if {floor}the camera is not a ring of two radii"
             lines.append(f"  the camera is {height:.2f} m above {base}: survey.height={height:.2f}, {usable}")
         lacking = [what for what in SOURCES if what not in self.proposal]
+        if "poses" in lacking and (seen := next((name for name in self.frames if name.startswith(_ABOVE)), None)):
+            lines.append(f"  poses may be recording.poses={seen}, with recording.axes=camera if its z is ahead")
         said = [f"{what}={source}" for what, source in self.proposal.items()] + [f"no {what}" for what in lacking]
         return "\n".join([*lines, f"proposed: {', '.join(said)}"])
 
@@ -249,13 +252,15 @@ def _opened(
 ) -> AbstractContextManager[Bag | Film | Pictures]:
     if not path.exists():
         raise DataError(f"there is no recording {path}")
-    if times is not None and path.is_dir() and not (path / "metadata.yaml").is_file():
+    if times is not None and path.is_dir() and not (path / METADATA).is_file():
         return nullcontext(Pictures(path, expanded(times), second))
     if times is not None:
         raise ConfigError(f"{path} has times of its own: recording.times is for a folder of pictures")
     if path.suffix.lower() in VIDEOS:
         return Film(path)
-    if path.suffix.lower() in BAGS or (path / "metadata.yaml").is_file():
+    if path.suffix.lower() in BAGS or (path / METADATA).is_file():
+        if (path.parent / METADATA).is_file() and (parts := len([*path.parent.glob(f"*{path.suffix}")])) > 1:
+            say_once(f"{path} is a part of the bag {path.parent}: name the folder to read all {parts} parts")
         return Bag(path)
     if path.is_dir():
         return nullcontext(Pictures(path, second=second))

@@ -171,7 +171,7 @@ def images_of(
             command = f"siamloc prepare {as_words({'recording.file': folder / bag})}"
             raise DataError(
                 f"{folder} holds no images, and no metadata.yaml as the folder of a ROS 2 bag does: "
-                f"`{command}` reads the file of the bag"
+                f"`{command}` reads the file of the bag; `rosbags-convert --src FILES --dst FOLDER` joins parts"
             )
         what = shortened(", ".join(inside)) or "nothing"
         raise DataError(f"{folder} holds no images; it holds: {what}{advice(inside)}{_deeper(folder)}")

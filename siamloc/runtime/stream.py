@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from foundation.calls import typed
 from foundation.files import atomic_path, csv_text, expanded, plain
+from foundation.words import as_words
 from siamloc.data.films import Film, quiet
-from siamloc.data.frames import VIDEOS
+from siamloc.data.frames import BAGS, VIDEOS
 from siamloc.data.image_files import UnreadableImageError, image_files
 from siamloc.data.moves import moves
 from siamloc.data.names import NamedPose, parse_name
@@ -190,6 +191,9 @@ def _files(name: str | Path) -> list[Path] | None:
         number = re.fullmatch(r"/dev/video(\d+)", str(name))
         there = f"the camera {path} is called {CAMERA}{number[1]} here" if number else f"there is no image {path}"
         raise DataError(there)
+    if path.suffix.lower() in BAGS:
+        command = f"siamloc prepare {as_words({'recording.file': path})}"
+        raise DataError(f"{path} is a ROS bag: `{command}` writes its images into a folder")
     return None if path.suffix.lower() in VIDEOS else [path]
 
 

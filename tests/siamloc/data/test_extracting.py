@@ -16,11 +16,12 @@ import pytest
 import siamloc.data
 from foundation.extras import lacking
 from siamloc.cli import main
-from siamloc.data.bags import proposed
+from siamloc.data.bags import METADATA, proposed
 from siamloc.data.films import Film
 from siamloc.errors import ConfigError, DataError
 
 pytest.importorskip("rosbags", reason="the extra `recordings` is not installed")
+from rosbags import rosbag2
 from rosbags.typesys import get_types_from_msg
 
 from tests.bags import Written, jpeg
@@ -133,6 +134,7 @@ def test_frames_are_chained(bags, tmp_path):
         ("mono8", PICTURES[0][:, :, 1]),
         ("8UC4", np.dstack([PICTURES[0], PICTURES[0][:, :, 0]])),
         ("mono16", PICTURES[0][:, :, 1].astype("<u2") << 8),
+        ("16UC1", PICTURES[0][:, :, 1].astype("<u2") << 8),
         ("rgb16", PICTURES[0][:, :, ::-1].astype("<u2") << 8),
         ("yuyv", cv2.cvtColor(PICTURES[0], cv2.COLOR_BGR2YUV_YUY2)),
         ("uyvy", cv2.cvtColor(PICTURES[0], cv2.COLOR_BGR2YUV_UYVY)),
@@ -311,6 +313,39 @@ def test_a_bag_cut_short_is_one_sentence(bags, tmp_path):
                 assert str(cut) in str(error)  # noqa: PT017
             else:
                 assert share > 0.5, f"{form} cut at {share}"
+
+
+@pytest.mark.parametrize("form", ["sqlite3", "mcap"])
+def test_a_file_of_a_bag_that_needs_its_folder_says_so(tmp_path, form, caplog):
+    bag = Written(tmp_path / "bag", form)
+    bag.writer.set_compression(rosbag2.CompressionMode.MESSAGE, rosbag2.CompressionFormat.ZSTD)
+    with bag.writer:
+        bag.image("/image", START, PICTURES[0])
+    assert siamloc.data.contents(bag.path).topics["/image"][1] == 1
+    (file,) = (path for path in bag.path.iterdir() if path.name != METADATA)
+    with pytest.raises(DataError, match=rf"name its folder, {bag.path}$"):
+        siamloc.data.extract(file, tmp_path / "out")
+    whole = file.with_name(f"{file.name}.zstd")
+    whole.touch()
+    with pytest.raises(DataError, match="zstd: name the folder of the ROS 2 bag"):
+        siamloc.data.contents(whole)
+    plain = drive(tmp_path / "plain", form)
+    part = next(path for path in plain.iterdir() if path.name != METADATA)
+    siamloc.data.contents(part)
+    assert not caplog.text
+    part.with_stem("plain_1").touch()
+    siamloc.data.contents(part)
+    assert f"a part of the bag {plain}: name the folder to read all 2 parts" in caplog.text
+
+
+def test_poses_of_a_camera_are_offered_and_depths_are_no_pictures(tmp_path):
+    bag = Written(tmp_path / "bag", "mcap")
+    with bag.writer:
+        bag.image("/depth/image", START, PICTURES[0][:, :, 1].astype("<u2"), "16UC1")
+        bag.transform("/tf", START, "map", "camera", 0, 0, 0)
+    assert "recording.poses=map:camera, with recording.axes=camera" in siamloc.data.contents(bag.path).describe()
+    with pytest.raises(DataError, match="hold depths"):
+        siamloc.data.extract(bag.path, tmp_path / "out")
 
 
 def test_messages_that_nobody_knows(tmp_path):
@@ -535,7 +570,7 @@ def test_the_command_looks_first_and_then_extracts(bags, tmp_path, monkeypatch, 
     (tmp_path / "monday").mkdir()
     (tmp_path / "monday" / "night_0.db3").touch()
     with pytest.raises(
-        DataError, match=r"monday holds no images, and no metadata\.yaml .*: `siamloc prepare .*/night_0\.db3` reads"
+        DataError, match=r"no images, and no metadata\.yaml .*: `siamloc prepare .*/night_0\.db3` reads .* joins parts"
     ):
         siamloc.data.contents(tmp_path / "monday")
     (tmp_path / "monday" / "night_0.db3").unlink()

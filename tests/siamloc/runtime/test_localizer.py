@@ -283,12 +283,14 @@ def test_an_empty_video_is_one_sentence_and_no_word_of_its_decoder(tmp_path):
     [
         ("nowhere.png", "there is no image"),
         ("empty", "holds no images"),
+        ("drive.bag", "is a ROS bag: `siamloc prepare recording.file=.*drive.bag` writes its images"),
         ("camera:99", "camera:99 gives no image: check that it is plugged in"),
         ("camera:front", "is not a camera: give its number"),
     ],
 )
 def test_what_gives_no_images_is_said(bundle, tmp_path, name, says):
     (tmp_path / "empty").mkdir()
+    (tmp_path / "drive.bag").touch()
     given = name if name.startswith("camera") else tmp_path / name
     with pytest.raises((ConfigError, DataError), match=says):
         list(locate_all(Localizer(bundle), given))
