@@ -22,6 +22,7 @@ from siamloc.jobs.run_job import RunJob, files_in
 from siamloc.jobs.stored import map_places, titles_of
 from siamloc.jobs.sweep import swept
 from siamloc.maps import Built, Refinement, VisualMap
+from siamloc.maps.axes import warn_of_axes
 from siamloc.maps.history import UPKEEP
 from siamloc.maps.maintenance import Maintenance
 from siamloc.runs import Run
@@ -112,6 +113,7 @@ class MapFrames(RunJob):
         given: dict[str, Any] = {"distance": self.distance, "mounting": self.mounting.known, "made": made}
         given |= {"heading": heading, "validation": roles.get("validation")}
         known = maps.build(described, images, roles["map"], **given)
+        warn_of_axes(known, self.update.radius)
         known.save(target)
         run.record_written([target])
         bare = len(known) - int(known.frames.has_position.sum())

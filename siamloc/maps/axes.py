@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.columns import spread_rows
 from siamloc.data.frames import FrameTable
-from siamloc.errors import DataError
+from siamloc.errors import DataError, logger
 from siamloc.maps.comparing import comparison_of
 from siamloc.maps.matching import match
 from siamloc.maps.refinement import refine
@@ -14,6 +15,8 @@ from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
 
 _SOME, _FEW, _MOST = 10, 0.25, 0.6  # frames, and shares of them that agree: with other axes, at most and at least
+_COMPARED = 3  # map frames that a frame is compared with
+_LOOKED_AT = 30  # frames of each drive of a map
 _MOTIONS = 300  # that are tried
 _SURE = 0.5  # share of the map frames that agree where a frame is located
 _HALF = 0.5  # share of such frames: of the drive, and of those that agree with other axes, at most
@@ -77,6 +80,27 @@ def check_axes(known: VisualMap, drive: VisualMap, alike: Retrieval, located: ND
             f"the drive's positions are not where its images show it: {agree.sum()} of {len(agree)} frames are within "
             f"{_OFF:g} {drive.unit} of where comparisons with the map locate them, as if odometry had drifted"
         )
+
+
+def warn_of_axes(known: VisualMap, radius: float) -> None:
+    """Warn of each drive of a map whose positions are not where the drives before it locate its frames.
+
+    Args:
+        known: the map.
+        radius: as of `check_axes`.
+    """
+    placed, before = known.frames.has_position, np.empty(0, dtype=np.int64)
+    for name, rows in known.frames.rows_by("sequence").items():
+        rows = rows[placed[rows]]
+        if before.size and rows.size:
+            earlier, drive = known.take(before), known.take(rows[spread_rows(len(rows), _LOOKED_AT)])
+            alike = match(earlier, drive.turning(), min(_COMPARED, len(earlier)))
+            try:
+                check_axes(earlier, drive, alike, alike.indices[:, 0], radius)
+            except WrongAxesError as error:
+                said = "drive %s of this map, compared with the others: %s. Bring all into one frame, or map one drive"
+                logger.warning(said, name, error.finding)
+        before = np.concatenate([before, rows])
 
 
 def _check_motion(

@@ -143,3 +143,10 @@ def test_buildings_have_to_be_known(table, maps, tmp_path, capsys):
          "8 of 48 queries are in a building that has no map (east; the maps are of north, south)"),
     ):  # fmt: skip
         assert says in refused(capsys, *words(given[0], tmp_path / "run", *given[1:]))
+
+
+def test_a_map_of_drives_in_different_frames_is_warned_of(town, tmp_path, caplog):
+    by = {"first": 0.0, "second": 30.0}
+    moved = altered(town, "moved.csv", lambda row: {"x": float(row["x"]) + by.get(row["sequence"], 0.0)})
+    done("map", *data(moved), "protocol.map.sequences=[first,second]", f"run={tmp_path}")
+    assert "drive second of this map, compared with the others: the drive's positions have other axes" in caplog.text

@@ -29,6 +29,7 @@ from siamloc.maps import (
     match,
     update,
 )
+from siamloc.maps.axes import warn_of_axes
 from siamloc.maps.maintenance import updated
 from tests.siamloc.cli.commands import done, refused
 
@@ -298,6 +299,20 @@ def test_positions_with_other_axes_than_the_map_are_refused(known, drives):
             update(known, drives[1], drive.with_columns(**moved), progress=False)
     away = drive.with_columns(x=drive.x + 40.0, building=["annex"] * FRAMES)
     assert update(known, drives[1], away, progress=False).added.any()
+
+
+def test_drives_of_a_map_in_different_frames_are_warned_of(known, drives, caplog):
+    """Frames without positions, and drives of other buildings, are not compared."""
+    drive = drives[2]["same"]
+    for moved, wrong in ((drive, False), (drive.with_columns(x=drive.x + 3.0), True)):
+        both = known.merge(build("hog", drives[1], moved, progress=False))
+        caplog.clear()
+        warn_of_axes(both, 1.0)
+        assert wrong == ("drive same of this map, compared with the others: the drive's positions" in caplog.text)
+    for columns in ({"x": np.full(FRAMES, np.nan)}, {"building": ["annex"] * FRAMES}):
+        caplog.clear()
+        warn_of_axes(known.merge(build("hog", drives[1], moved.with_columns(**columns), progress=False)), 1.0)
+        assert not caplog.text
 
 
 @pytest.mark.parametrize(
