@@ -69,13 +69,15 @@ def missing_rooms(known: FrameTable, queries: FrameTable, excluded: NDArray[np.b
     Queries for which the protocol excludes all map frames of their room are named, too.
     """
     in_map, rooms = room_names(known, queries)
-    lacking, said = rooms[~np.isin(rooms, in_map) & (rooms != "")], list[str]()
-    if len(lacking) and (bare := int(((queries.building == "") & (rooms != "") & ~np.isin(rooms, in_map)).sum())):
-        named = ", ".join(sorted(set(known.building.tolist()) - {""}))
+    absent, said = ~np.isin(rooms, in_map) & (rooms != ""), list[str]()
+    buildings = sorted(set(known.building.tolist()) - {""})
+    bare = absent & (queries.building == "") & (len(buildings) > 1)
+    if bare.any():
         said.append(
-            f"{bare} queries state no building, and the rooms of the map are those of {named}: give the column building"
+            f"{bare.sum()} of {len(rooms)} queries state no building, and the rooms of the map are those of "
+            f"{', '.join(buildings)}: give these queries a building, too"
         )
-    elif len(lacking):
+    if len(lacking := rooms[absent & ~bare]):
         said.append(
             f"{len(lacking)} of {len(rooms)} queries are in rooms that the map lacks ({_listed(lacking)}), and cannot "
             "be found there: add frames of these rooms to the map (protocol.map), or leave those queries out "
