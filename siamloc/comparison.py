@@ -30,6 +30,7 @@ class Comparison:
             have NaN and come last.
         highest: whether a higher value is better.
         unit: unit of the measure `by`; "" if it has none, or not always the same.
+        notes: sentences on why the rows may not be comparable.
     """
 
     by: str
@@ -38,6 +39,7 @@ class Comparison:
     rows: tuple[Mapping[str, Any], ...]
     highest: bool = False
     unit: str = ""
+    notes: tuple[str, ...] = ()
 
     def in_order(self) -> Comparison:
         """Return the comparison with the best row first; ties keep their order."""
@@ -56,7 +58,7 @@ class Comparison:
         return self.rows[0]
 
     def verdict(self) -> str:
-        """Return a sentence that names the best row, and counts those that are as good."""
+        """Return a sentence that names the best row, and counts those that are as good; then the notes, one a line."""
         folder = self.best[self.measured[-1]]
         if math.isnan(self.best[self.by]):
             return f"best: none, {self.by} is not known of any"
@@ -64,7 +66,8 @@ class Comparison:
         said = [f"{name}={cells[name]}" for name in self.differing]
         equal = sum(row[self.by] == self.best[self.by] for row in self.rows) - 1
         more = f", and {equal} more with the same {self.by}" if equal else ""
-        return f"best: {', '.join([*said, f'{self.by} {cells[self.by]}'])}, in {folder}{more}"
+        best = f"best: {', '.join([*said, f'{self.by} {cells[self.by]}'])}, in {folder}{more}"
+        return "\n".join([best, *self.notes])
 
     def summary(self) -> Table:
         """Return the rows as a table, labelled by the settings."""

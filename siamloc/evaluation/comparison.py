@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from foundation.calls import typed
-from foundation.settings import leaves
+from foundation.settings import leaves, within
+from siamloc.comparable import doubts
 from siamloc.comparison import Comparison, differing, files_named, flat
 from siamloc.errors import ConfigError, FormatError, hint
-from siamloc.results import FURTHER, read_results
+from siamloc.results import FURTHER, Columns, read_results, read_rows
 from siamloc.runs import run_with
 
 _CHOSEN_BY = ("error", "room", "mapping.silhouette.with_unassigned", "buildings.overall.accuracy")
@@ -22,6 +24,8 @@ _HIGHEST = (
     *("recall", "recall_at_one_percent", "hit_rate", "room", "top", "mean_average_precision", "accuracy", "auc"),
     *("silhouette", "descriptor_silhouette", "purity", "precision", "f1"),
 )
+_PROTOCOL = ("protocol",)
+_OF_FRAMES = ("queries", "map", "rooms")
 _LENGTHS = frozenset({"error", "floor", "excess"})
 _ALWAYS = ("descriptor", "distance", "heading", "build")
 # Keys that only say where files are, or that follow from the others.
@@ -73,7 +77,11 @@ def compare(folders: str | Path | Iterable[str | Path], by: str | None = None) -
         for path, one, said, found in zip(paths, results, settings, measures, strict=True)
     ]
     columns, highest = (by, *shown, "queries", "folder"), highest_is_best(by)
-    return Comparison(by, tuple(keys), columns, tuple(rows), highest, _unit(by, results)).in_order()
+    found = Comparison(by, tuple(keys), columns, tuple(rows), highest, _unit(by, results)).in_order()
+    read = {path.parent.as_posix(): one for path, one in zip(paths, results, strict=True)}
+    ranked = [row["folder"] for row in found.rows if not math.isnan(row[by])]
+    notes = doubts({folder: (read[folder], _tables(folder, read[folder])) for folder in ranked}) if ranked else ()
+    return replace(found, notes=tuple(notes))
 
 
 def highest_is_best(measure: str) -> bool:
@@ -146,6 +154,12 @@ def _named(parts: Mapping[str, Any]) -> Iterator[tuple[str, float | None]]:
         yield f"room{label}", group["accuracy"]
 
 
+def _tables(folder: str, results: Mapping[str, Any]) -> dict[str, Columns]:
+    """Return the tables that say which frames were compared; those whose file was not kept are left out."""
+    named = {name: table["file"] for name, table in results.get("tables", {}).items() if name in _OF_FRAMES}
+    return {name: read_rows(folder, name) for name, file in named.items() if Path(folder, file).is_file()}
+
+
 def _groups(part: Mapping[str, Any] | None) -> Iterator[tuple[str, Any]]:
     """Yield the measures of all queries as "", and the measures of each lighting under a name such as ".night"."""
     if part is not None:
@@ -167,8 +181,9 @@ def _settings(
 ) -> tuple[list[dict[str, Any]], list[str]]:
     """Return the settings of each evaluation by key, and the keys whose values differ, swept settings first.
 
-    If sweeps record what they swept, or runs what they were trained with, only those settings count: the rest follows.
-    Otherwise it is the settings that all evaluations with the measure to rank by have, and in which these differ.
+    If sweeps record what they swept, or runs what they were trained with, only those settings and the protocol of each
+    evaluation count: the rest follows. Otherwise it is the settings that all evaluations with the measure to rank by
+    have, and in which these differ.
     """
     swept = [dict(one.get("swept") or {}) for one in results]
     trained = [_of_training(path) for path in paths]
@@ -179,12 +194,18 @@ def _settings(
         of_runs = [key for key in of_runs if key != "model.seed"]
     settings = []
     for training, found, said in zip(trained, own, swept, strict=True):
-        of_run = {key: training[key] for key in of_runs if key in training}
+        of_run = {
+            key: training[key] for key in of_runs if key in training and not (key in found and within(key, _PROTOCOL))
+        }
         settings.append({**found, **of_run, **{key: value for key, value in said.items() if value is not None}})
     compared = [found for found, has in zip(settings, ranked, strict=True) if has]
     keys = [*differing(settings, first), *differing(compared, _ALWAYS), *differing(settings, of_runs)]
-    if not all(swept) and not of_runs:
-        keys += [key for key in differing(compared) if all(key in found for found in compared)]
+    alone = not all(swept) and not of_runs
+    keys += [
+        key
+        for key in differing(compared)
+        if (alone or within(key, _PROTOCOL)) and all(key in found for found in compared)
+    ]
     keys = list(dict.fromkeys(keys))
     for group in ("descriptor", "build"):
         if group in keys:  # each descriptor, and each way to build nodes, has parameters of its own

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import PurePath
 from typing import Any
 
-import numpy as np
-
+from siamloc.comparable import doubts
 from siamloc.report.draw.errors import compared_curves
-from siamloc.report.page.gathered import Evaluation
 from siamloc.report.page.inline import inline
 from siamloc.report.page.markup import Markup, grid, section, tag
 from siamloc.report.page.parts import Part
 from siamloc.results import Columns, finest
 from siamloc.summaries import measured, middle_recall
-from siamloc.tables import NOTHING, Column, Table, count, percent
+from siamloc.tables import NOTHING, Column, Table, percent
 
 _SINGLE = "single frame"
 
@@ -26,10 +23,7 @@ def comparison(parts: list[Part]) -> Markup | None:
     if len(scored) < 2:
         return None
     evaluations = {part.title: part.evaluation for part in scored}
-    notes = differences(evaluations)
-    if len({str(evaluation.results.get("protocol")) for evaluation in evaluations.values()}) > 1:
-        text = "These evaluations follow different protocols: their errors must not be compared with each other."
-        notes.insert(0, text)
+    notes = doubts({title: (evaluation.results, evaluation.tables) for title, evaluation in evaluations.items()})
     by_unit: dict[str, dict[str, Columns]] = {}
     for title, evaluation in evaluations.items():
         if evaluation.queries is not None and len(evaluation.queries["error"]):
@@ -41,34 +35,6 @@ def comparison(parts: list[Part]) -> Markup | None:
     warnings = [tag("p.note", note) for note in notes]
     tables = map(grid, _compared(scored))
     return tag("article.overview", section("Comparison", *tables, *warnings, *curves, name="compared"))
-
-
-def differences(evaluations: Mapping[str, Evaluation]) -> list[str]:
-    """Return a warning for evaluations whose queries or map frames differ from those of the first evaluation.
-
-    Evaluations that differ from it in the same way share a warning. Frames are the same if the ends of their paths are
-    the same, and their positions where known. The folder of the data set, the order of the frames and the descriptor do
-    not matter.
-
-    Args:
-        evaluations: results of two or more evaluations, by the title that the sentences use.
-    """
-    (first, one), *others = evaluations.items()
-    found: dict[str, list[str]] = {}
-    for title, other in others:
-        table = "rooms" if one.queries is None or other.queries is None else "queries"
-        queries = _difference("queries", one.tables.get(table), other.tables.get(table))
-        maps = _difference("map frames", one.known, other.known)
-        if one.known is None or other.known is None:  # their settings still say which frames were selected
-            chosen = [((e.results.get("config") or {}).get("protocol") or {}).get("map") for e in (one, other)]
-            maps = "map frames (protocol.map)" if None not in chosen and chosen[0] != chosen[1] else ""
-        if queries or maps:
-            what = " and ".join(filter(None, [queries, maps]))
-            found.setdefault(what, []).append(title)
-    return [
-        f"Take care when comparing {', '.join(titles)} with {first}: they differ in their {what}."
-        for what, titles in found.items()
-    ]
 
 
 def _compared(parts: list[Part]) -> list[Table]:
@@ -113,18 +79,3 @@ def _measures(part: Part, lightings: list[str]) -> dict[str, Any]:
         "recall@1": recall and f"{percent(recall['recall'])}, {recall['radius']:g} {evaluation.unit}",
         "rooms": rooms,
     }
-
-
-def _difference(what: str, one: Columns | None, other: Columns | None) -> str:
-    """Return how the frames of two tables differ; "" if they are the same, or if a table is missing."""
-    if one is None or other is None or (first := _frames(one)) == (second := _frames(other)):
-        return ""
-    return f"{what} ({count(len(second))} and {count(len(first))}, {count(len(first & second))} of them in common)"
-
-
-def _frames(columns: Columns) -> set[tuple[Any, ...]]:
-    """Return what identifies each frame: folder and file name, and position, infinite where unknown."""
-    ends = [PurePath(path).parts[-2:] for path in columns["path"].tolist()]
-    unknown = np.full(len(ends), np.nan)
-    x, y = (np.nan_to_num(np.round(columns.get(axis, unknown), 6), nan=np.inf).tolist() for axis in "xy")
-    return set(zip(ends, x, y, strict=True))

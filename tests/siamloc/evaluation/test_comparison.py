@@ -87,6 +87,35 @@ def test_runs_show_what_they_were_trained_with(measured, tmp_path):
     assert [row["seed"] for row in found.rows] == [0, 1]
 
 
+def test_runs_that_were_measured_by_different_protocols_say_so(measured, tmp_path):
+    for seed, kind in enumerate(("cross_run", "same_run")):
+        run = siamloc.training.Run(tmp_path / f"seed-{seed}")
+        run.start({"training": {"seed": seed}, "protocol": {"kind": ["cross_run", "leave_one_out"][seed]}}, [])
+        settings = {**measured.settings, "protocol": {**measured.settings["protocol"], "kind": kind}}
+        other = replace(measured, settings=settings, about={**measured.about, "protocol": kind})
+        write(other, run.evaluation("network"), 1.0 - seed)
+    found = compare(tmp_path)
+    assert found.differing == ("seed", "protocol.kind")
+    assert [row["protocol.kind"] for row in found.rows] == ["same_run", "cross_run"], "not those of the trainings"
+    assert found.verdict().splitlines()[1:] == [
+        "These evaluations follow different protocols: their errors must not be compared with each other."
+    ]
+
+
+def test_evaluations_of_other_frames_say_so(measured, tmp_path):
+    write(measured, tmp_path / "a", 0.9)
+    assert compare(tmp_path).notes == ()
+    part = {name: column[:9] for name, column in measured.tables["queries"].items()}
+    write(replace(measured, tables={**measured.tables, "queries": part}), tmp_path / "b", 0.5)
+    a, b = ((tmp_path / name).as_posix() for name in "ab")
+    (note,) = compare(tmp_path).notes
+    assert note == (
+        f"Take care when comparing {a} with {b}: they differ in their queries (12 and 9, 9 of them in common)."
+    )
+    (tmp_path / "b" / "queries.csv").unlink()
+    assert compare(tmp_path).notes == (), "results of another machine, without their tables"
+
+
 def test_evaluations_without_the_measure_come_last(measured, tmp_path):
     rooms = {name: part for name, part in measured.parts.items() if name == "room_retrieval"}
     replace(measured, parts=rooms, about={**measured.about, "swept": {"seed": 1}}).save(tmp_path / "a", pictures=False)

@@ -11,11 +11,9 @@ import pytest
 
 from foundation.files import read_json, write_json
 from siamloc.cli import main
-from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, FormatError, SiamlocError
 from siamloc.maps import VisualMap
 from siamloc.report.page import compared, parts, sections
-from siamloc.report.page.gathered import Evaluation
 from siamloc.report.page.markup import Markup, grid, tag
 from siamloc.report.page.write import write_report
 from siamloc.results import read_results, read_rows, write_results
@@ -163,48 +161,6 @@ def test_runs_that_cannot_be_compared_are_marked(tmp_path: Path) -> None:
     assert "must not be compared" in notes(page)
     assert "differ in their queries" in notes(page), "that the protocols differ does not hide it"
     assert "same run" in page.one("table", class_="comparison").text
-
-
-QUERIES, KNOWN = scenes.frames(2, 30), scenes.frames(1, 20)
-MOVED = KNOWN.with_columns(x=KNOWN.x + np.where(np.arange(20) < 5, 0.5, 0))
-
-
-def localized(queries: FrameTable, known: FrameTable, root: str = "") -> Evaluation:
-    """Return what a page compares of an evaluation whose files lie in the folder `root`."""
-    queries_, known_ = (
-        {"path": np.array([f"{root}{path}" for path in table.path]), "x": table.x, "y": table.y}
-        for table in (queries, known)
-    )
-    tables = {"queries": queries_, "map": known_, "rooms": {"path": queries_["path"]}}
-    return Evaluation("hog", "localization", {"measures": {"absolute": {"unit": "m"}}}, tables)
-
-
-def rooms_alone(queries: FrameTable, map_every: int | None = None) -> Evaluation:
-    results = {"measures": {}, "config": {"protocol": {"map": {"every": map_every}}}}
-    return Evaluation("hog", "room retrieval", results, {"rooms": {"path": queries.path}})
-
-
-@pytest.mark.parametrize(
-    ("one", "other", "says"),
-    [
-        (localized(QUERIES, KNOWN, "data/"), localized(QUERIES.take(np.arange(30)[::-1]), KNOWN, "/mnt/data/"), None),
-        (localized(QUERIES, KNOWN), localized(QUERIES, MOVED), "map frames (20 and 20, 15 of them in common)"),
-        (rooms_alone(QUERIES), rooms_alone(QUERIES), None),
-        (rooms_alone(QUERIES), localized(QUERIES, KNOWN), None),
-        (rooms_alone(QUERIES), rooms_alone(QUERIES, map_every=2), "map frames (protocol.map)"),
-        (rooms_alone(QUERIES), rooms_alone(KNOWN), "queries (20 and 30, 0 of them in common)"),
-    ],
-    ids=["another folder and order", "moved", "same rooms", "with and without a map", "another map", "other queries"],
-)
-def test_evaluations_differ_in_their_frames_not_in_where_these_lie(one, other, says) -> None:
-    expected = [f"Take care when comparing b with a: they differ in their {says}."] if says else []
-    assert compared.differences({"a": one, "b": other}) == expected
-
-
-def test_evaluations_that_differ_alike_share_a_warning() -> None:
-    every = {"a": localized(QUERIES, KNOWN), "b": localized(QUERIES, MOVED), "c": localized(QUERIES, MOVED)}
-    (warning,) = compared.differences(every)
-    assert warning.startswith("Take care when comparing b, c with a: ")
 
 
 def test_a_sweep_is_in_the_order_of_its_numbers(tmp_path: Path) -> None:
