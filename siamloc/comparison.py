@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -150,6 +150,36 @@ def differing(settings: Sequence[Mapping[str, Any]], keys: Iterable[str] | None 
     """
     keys = list(dict.fromkeys(key for values in settings for key in values)) if keys is None else list(keys)
     return [key for key in keys if len({repr(values.get(key)) for values in settings}) > 1]
+
+
+def without_own(keys: Iterable[str], settings: Sequence[Mapping[str, Any]], kept: Container[str] = ()) -> list[str]:
+    """Return keys without parameters that each choice of a group has for itself, such as the margin of a loss.
+
+    They are those with one value for each name of their group that not all settings have, and the class if all names
+    are known. Parameters of descriptors and of ways to build nodes go if all settings have them, too: the same word
+    means something else in each.
+
+    Args:
+        keys: keys whose values differ.
+        settings: values by key.
+        kept: keys to return in any case.
+
+    Example:
+        >>> losses = [{"loss.name": "triplet", "loss.margin": 0.2}, {"loss.name": "circle", "loss.m": 0.4}]
+        >>> without_own(["loss.name", "loss.margin", "loss.m"], losses)
+        ['loss.name']
+    """
+    keys = list(keys)
+    for name in [key for key in keys if key in ("descriptor", "build") or key.endswith(".name")]:
+        group = name.removesuffix(".name")
+        names = [repr(values.get(name)) for values in settings]
+        for key in [key for key in keys if within(key, [group]) and key != name and key not in kept]:
+            pairs = {(named, repr(values.get(key))) for named, values in zip(names, settings, strict=True)}
+            known = key == f"{group}.class" and "None" not in names
+            own = name == group or known or any(key not in values for values in settings)
+            if own and len(pairs) == len(set(names)):
+                keys.remove(key)
+    return keys
 
 
 def files_named(folders: str | Path | Iterable[str | Path], name: str) -> list[Path]:

@@ -12,7 +12,7 @@ from typing import Any
 from foundation.calls import typed
 from foundation.settings import leaves, within
 from siamloc.comparable import doubts
-from siamloc.comparison import Comparison, differing, files_named, flat
+from siamloc.comparison import Comparison, differing, files_named, flat, without_own
 from siamloc.errors import ConfigError, FormatError, hint
 from siamloc.results import FURTHER, Columns, read_results, read_rows
 from siamloc.runs import run_with
@@ -206,11 +206,7 @@ def _settings(
         for key in differing(compared)
         if (alone or within(key, _PROTOCOL)) and all(key in found for found in compared)
     ]
-    keys = list(dict.fromkeys(keys))
-    for group in ("descriptor", "build"):
-        if group in keys:  # each descriptor, and each way to build nodes, has parameters of its own
-            keys = [key for key in keys if key in first or not key.startswith(f"{group}.")]
-    return settings, keys
+    return settings, without_own(dict.fromkeys(keys), settings, first)
 
 
 def _of_evaluation(results: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from foundation.calls import typed
 from foundation.files import real_path
-from siamloc.comparison import Comparison, differing, files_named, flat
+from siamloc.comparison import Comparison, differing, files_named, flat, without_own
 from siamloc.errors import ConfigError, hint
 from siamloc.runs import Run, higher_is_better
 
@@ -56,6 +56,7 @@ def compare(runs: str | Path | Iterable[str | Path | Run], by: str | None = None
     names = differing(settings)
     if all(values.get("model.seed") == values.get("seed") for values in settings):  # as with commands
         names = [key for key in names if key != "model.seed"]
+    names = without_own(names, settings)
     rows = [
         {**{key: values.get(key) for key in names}, **_measured(run, curves.get(run.folder, {}), by)}
         for run, values in zip(found, settings, strict=True)

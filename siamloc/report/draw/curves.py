@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -228,13 +229,15 @@ def swept_curves(
     others = [name for name in settings if name != against and (numeric or not _follows(usable, name, against))]
     lines: dict[str, list[tuple[Any, float]]] = {}
     for row in sorted(usable, key=lambda row: [by_numbers(_shown(row[name])) for name in others]):
-        label = ", ".join(f"{name}={_shown(row[name])}" for name in others)
+        known = [name for name in others if row[name] is not None] or others  # a line without a name has no entry
+        label = fill(", ".join(f"{name}={_shown(row[name])}" for name in known), _LETTERS_ACROSS)
         lines.setdefault(label, []).append((places[_shown(row[against])], row[by]))
     across = int(np.clip(_LETTERS_ACROSS // (max(map(len, lines)) + 6), 1, _LINES_ACROSS))
+    tall = sum(len(label.splitlines()) for label in lines)
     longest = max(map(len, places))
     turned = not numeric and (longest + 2) * len(places) > _LETTERS_ACROSS
     size = max(6.4, 0.24 * len(places) + 1) if turned else 6.4, 4.0 + 0.055 * longest * turned
-    figure, (axes,) = panels(1, size[0], size[1] + 0.2 * (len(lines) // across))
+    figure, (axes,) = panels(1, size[0], size[1] + 0.2 * (tall // across))
     for i, (label, points) in enumerate(lines.items()):
         look = {**series_look(i), **({} if numeric else {"linestyle": "none", "markersize": 5})}
         axes.plot(*zip(*sorted(points), strict=True), label=label, **look)

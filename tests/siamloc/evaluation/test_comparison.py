@@ -75,6 +75,8 @@ def test_what_differs_is_found_where_nothing_says_what_was_swept(measured, tmp_p
     assert compare([tmp_path / "a", tmp_path / "b"]).differing == ("distance", "descriptor.bins")
     write(measured, tmp_path / "b", 0.5, descriptor={"name": "fs", "rows": 3})
     assert compare(tmp_path).differing == ("descriptor",), "each descriptor has parameters of its own"
+    write(measured, tmp_path / "c", 0.7, descriptor={"name": "fs", "rows": 5})
+    assert compare(tmp_path).differing == ("descriptor", "descriptor.rows"), "two values for one descriptor"
 
 
 def test_runs_show_what_they_were_trained_with(measured, tmp_path):

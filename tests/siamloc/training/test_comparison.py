@@ -55,6 +55,26 @@ def test_of_rooms_and_accuracies_the_highest_is_the_best(tmp_path):
     assert [(row["seed"], row["val/accuracy"], row["epoch"]) for row in found] == [(1, 0.9, 1), (0, 0.3, 3)]
 
 
+@pytest.mark.parametrize(
+    ("losses", "differing"),
+    [
+        ([{"class": "A", "name": "a", "near": 1, "margin": 2}, {"class": "B", "name": "b", "near": 1}], ("loss.name",)),
+        ([{"name": "a", "near": 1}, {"name": "b", "near": 3}], ("loss.name", "loss.near")),
+        (
+            [{"name": "a", "margin": 2}, {"name": "a", "margin": 3}, {"name": "b"}],
+            ("loss.name", "loss.margin"),
+        ),
+        ([{"class": "A", "name": "a"}, {"class": "Own"}], ("loss.class", "loss.name")),
+    ],
+    ids=["of one loss alone", "of both losses", "two values for one loss", "a loss without a name"],
+)
+def test_parameters_that_each_loss_has_for_itself_make_no_columns(losses, differing, tmp_path):
+    for number, loss in enumerate(losses):
+        run = make(tmp_path / f"{number}", {"val/error": [0.9]})
+        run.start({**run.settings, "loss": loss}, [])
+    assert compare(tmp_path).differing == differing
+
+
 def test_sweeps_and_runs_are_compared_together(tmp_path):
     for seed, name in enumerate(("sweep/a", "sweep/b", "further/c")):
         make(tmp_path / name, {"val/error": [0.9, 0.5 + seed]}, seed=seed)

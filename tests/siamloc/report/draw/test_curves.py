@@ -205,6 +205,18 @@ def test_many_long_names_are_turned_and_in_the_order_of_their_numbers():
     assert [label.get_text()[:3] for label in figure.axes[0].get_xticklabels()] == ["9 o", "9 o", "10 ", "10 "]
 
 
+def test_names_of_many_settings_are_wrapped_without_those_that_are_not_known():
+    long = {f"a.setting.with.a.long.name.{i}": i for i in range(8)}
+    rows = [{**long, "m": m, "seed": seed, "error": 1.0} for m in (None, 2) for seed in (0, 1)]
+    figure = swept_curves(rows, [*long, "m", "seed"], "error", "seed")
+    figure.draw_without_rendering()
+    legend, (axes,) = figure.legends[0], figure.axes
+    assert ["m=" in text.get_text() for text in legend.get_texts()] == [True, False, False]
+    assert figure.bbox.x0 <= legend.get_window_extent().x0 < legend.get_window_extent().x1 <= figure.bbox.x1
+    assert axes.get_window_extent().height > 200
+    assert set(lines_of(swept_curves(rows, ["m", "seed"], "error", "seed"))) == {"m=2", "m=none", "best: 1"}
+
+
 def test_a_long_logarithmic_axis_has_plain_numbers():
     rows = [{"bins": 2**i, "error": 1.0} for i in range(14)]
     figure = swept_curves(rows, ["bins"], "error")
