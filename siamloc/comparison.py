@@ -12,6 +12,7 @@ from foundation.calls import typed
 from foundation.files import expanded, write_text
 from foundation.settings import leaves, within
 from siamloc.errors import ConfigError
+from siamloc.runs import Run
 from siamloc.tables import Column, Table
 
 if TYPE_CHECKING:
@@ -182,8 +183,8 @@ def without_own(keys: Iterable[str], settings: Sequence[Mapping[str, Any]], kept
     return keys
 
 
-def files_named(folders: str | Path | Iterable[str | Path], name: str) -> list[Path]:
-    """Return the files with a given name in and below folders, each once.
+def files_named(folders: str | Path | Iterable[str | Path | Run], name: str) -> list[Path]:
+    """Return the files with a given name in and below folders or runs, each once.
 
     Raises:
         ConfigError: no folders, or one that is missing.
@@ -192,7 +193,7 @@ def files_named(folders: str | Path | Iterable[str | Path], name: str) -> list[P
     if not several:
         raise ConfigError("nothing to compare: name the folder of a sweep, or several folders")
     found: dict[Path, None] = {}
-    for folder in (expanded(one) for one in several):
+    for folder in (one.folder if isinstance(one, Run) else expanded(one) for one in several):
         if not folder.is_dir():
             raise ConfigError(f"there is no folder {folder}: name that of a sweep, such as runs/sweep")
         found |= dict.fromkeys(sorted(folder.rglob(name)))

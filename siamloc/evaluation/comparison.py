@@ -15,7 +15,7 @@ from siamloc.comparable import doubts
 from siamloc.comparison import Comparison, differing, files_named, flat, without_own
 from siamloc.errors import ConfigError, FormatError, hint
 from siamloc.results import FURTHER, Columns, read_results, read_rows
-from siamloc.runs import run_with
+from siamloc.runs import Run, run_with
 
 _CHOSEN_BY = ("error", "room", "mapping.silhouette.with_unassigned", "buildings.overall.accuracy")
 _LOCALIZED = ("absolute", "hierarchical")
@@ -33,7 +33,7 @@ _LEFT_OUT = ("data.cache", "data.name", "model.image_size", "frames", "data.unit
 
 
 @typed
-def compare(folders: str | Path | Iterable[str | Path], by: str | None = None) -> Comparison:
+def compare(folders: str | Path | Iterable[str | Path | Run], by: str | None = None) -> Comparison:
     """Compare the measures of evaluations, of a sweep or any others.
 
     A row holds the settings that differ between the evaluations, swept settings first; then, if measured, the mean
@@ -41,7 +41,8 @@ def compare(folders: str | Path | Iterable[str | Path], by: str | None = None) -
     0.5 m, and the share of rooms found as "room"; and finally `queries`, their number, and `folder`.
 
     Args:
-        folders: the folder of a sweep, a run or an evaluation, or several of them; all evaluations inside are used.
+        folders: the folder of a sweep, a run or an evaluation, or several of them, also as `Run`; all evaluations
+            inside are used.
         by: the measure to rank by: one of the columns, another recall such as "recall@5_0.5", "recall@1" for its first
             radius, or any number in `results.json` by its path, such as "absolute.overall.error.median". If None,
             "error", or else "room". For recalls, rates, accuracies and the like the highest value is the best, for all

@@ -87,6 +87,7 @@ def test_runs_show_what_they_were_trained_with(measured, tmp_path):
     found = compare(tmp_path)
     assert found.differing == ("seed",)
     assert [row["seed"] for row in found.rows] == [0, 1]
+    assert compare([Run(tmp_path / "seed-0"), tmp_path / "seed-1"]) == found
 
 
 def test_runs_that_were_measured_by_different_protocols_say_so(measured, tmp_path):
