@@ -9,6 +9,7 @@ from textwrap import fill
 from typing import Any
 
 import numpy as np
+from matplotlib.transforms import ScaledTranslation
 from numpy.typing import NDArray
 
 from foundation.columns import spread_rows
@@ -36,6 +37,8 @@ _MOST_POINTS = 120  # of a curve; more make no visible difference
 _SIZE, _LARGE_SIZE = (3.6, 3.2), (4.6, 3.4)  # of a panel in inches: three in a row, and two
 _LONG = 22  # characters from which a label gets its own line in the legend
 _WIDEST, _LINE = 64, 0.17  # characters of a line of the legend below all panels, and its height in inches
+_UNDER = 0.48  # inches from a panel to its legend
+_LINES = 4  # of the legend below a panel, for which the panel has room
 
 _ALL = "all queries"
 _HOLLOW = {"markerfacecolor": "none", "markeredgewidth": 1.8}
@@ -203,6 +206,7 @@ def _drawn(
     figure, every = panels(len(charts), *size, sharey=True, ylabel="queries with at most this error [%]")
     common = [error for _, curves, _ in charts for _, error, _ in curves] if shared else []
     lines: dict[str, Any] = {}
+    tallest = _LINES
     for axes, (title, curves, floor) in zip(every, charts, strict=True):
         if floor is not None:
             curves = [*curves, ("floor", floor, {**FLOOR, "zorder": 2})]
@@ -215,12 +219,16 @@ def _drawn(
         scale_errors(axes.xaxis, common or [error for _, error, _ in curves], f"error [{unit}]")
         axes.set(title=title + f", n = {len(curves[0][1]):,}" * alike, ylim=(0, 101.5))
         columns = 1 if max(map(len, labels)) > _LONG else 2
-        place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (-0.02, -0.24)}
+        tallest = max(tallest, -(-len(labels) // columns))
+        under = axes.transAxes + ScaledTranslation(0, -_UNDER, figure.dpi_scale_trans)
+        place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (-0.02, 0), "bbox_transform": under}
         place |= {"ncols": columns, "borderpad": 0, "columnspacing": 1.2, "fontsize": 7.5, "handlelength": 2.2}
         axes.legend(*legend_entries(axes), **place)
+    rows = len({axes.get_position().y0 for axes in every})
+    names = [fill(label, _WIDEST) for label in lines] if below else []
+    more = (tallest - _LINES) * rows + len("\n".join(names).splitlines())
+    figure.set_figheight(figure.get_figheight() + _LINE * more)
     if below:
-        names = [fill(label, _WIDEST) for label in lines]
-        figure.set_figheight(figure.get_figheight() + _LINE * len("\n".join(names).splitlines()))
         figure.legend(list(lines.values()), names, loc="outside lower center", fontsize=7.5, handlelength=2.2)
     return figure
 

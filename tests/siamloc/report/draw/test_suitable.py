@@ -188,6 +188,13 @@ def test_another_estimate_and_several_evaluations() -> None:
     assert all(axes.get_position().width > 0.25 for axes in figure.axes), "long names leave the panels their width"
 
 
+@pytest.mark.parametrize("count", [2, 24, 72])
+def test_the_panels_keep_their_height_whatever_the_number_of_evaluations(count: int) -> None:
+    figure = compared_curves({f"run {i}": QUERIES for i in range(count)})
+    figure.draw_without_rendering()
+    assert all(1.7 < axes.get_window_extent().height / figure.dpi < 3.3 for axes in figure.axes)
+
+
 def test_a_query_set_without_any_error() -> None:
     columns = {"error": np.zeros(3), "floor": np.zeros(3), "lighting": np.array([""] * 3)}
     assert error_curve(columns).axes[0].get_xlim() == (0, 1)
