@@ -86,8 +86,11 @@ class Comparison:
         """Write the rows as CSV and return the path; numbers keep full precision, unknown numbers are empty.
 
         Raises:
+            ConfigError: a file whose name does not end in .csv.
             StorageError: the disk refuses.
         """
+        if Path(path).suffix.lower() != ".csv":
+            raise ConfigError(f"the comparison is a CSV file: give it a name ending in .csv, not {path}")
         write_text(Path(path), self.summary().csv())
         return Path(path)
 

@@ -158,6 +158,11 @@ def test_mistakes_are_named(measured, tmp_path):
     ):
         with pytest.raises(ConfigError, match=says):
             compare(tmp_path, by=by)
+    kept = tmp_path / "paper.tex"
+    kept.write_text("written by hand")
+    with pytest.raises(ConfigError, match=r"ending in \.csv, not .*paper\.tex"):
+        compare(tmp_path).save(kept)
+    assert kept.read_text() == "written by hand"
     replace(measured, parts={"absolute": {"overall": {}}}).save(tmp_path / "b", pictures=False)
     with pytest.raises(FormatError, match="not whole"):
         compare(tmp_path)
