@@ -200,7 +200,8 @@ class Curves(Checkpoint):
         self.on_fit_end(trainer)
         if not (trainer.is_global_zero and shown()):
             return
-        parts = [f"trained in {(time.monotonic() - self._start[0]) / 60:.1f} min"]
+        took = time.monotonic() - self._start[0]
+        parts = [f"trained in {took / 60:.1f} min" if took >= 60 else f"trained in {took:.0f} s"]
         if (done := len(self._rows)) < (trainer.max_epochs or 0):
             reason = f"none of the last {self._patience} was better"
             if not self._stale():

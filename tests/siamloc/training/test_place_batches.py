@@ -57,7 +57,7 @@ def test_a_training_learns_where_pictures_were_taken(train, images, drives, capf
     assert "6 batches of 4 places x 2 images per epoch" in said
     best = int(curves["val/error"].argmin()) + 1
     assert f"best epoch {best} by val/error {curves['val/error'].min():.4f}" in said
-    assert re.search(r"trained in \d+\.\d min, .*, \d+ images/s, \d+% of the time waiting for data\n", said)
+    assert re.search(r"trained in (\d+ s|[1-9]\d*\.\d min), .*, \d+ images/s, \d+% of the time waiting for", said)
     others = {name: curves[name][best - 1] for name in ("val/median", "val/recall", "val/room")}
     assert f"({', '.join(f'{name[4:]} {value:.4f}' for name, value in others.items())})" in said
     assert f"checkpoint: {run.checkpoint()}; curves: tensorboard --logdir {run.tensorboard}" in said
