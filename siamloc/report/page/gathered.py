@@ -153,11 +153,11 @@ def gather(folders: Sequence[str | Path]) -> list[RunFiles]:
         ConfigError: no folders, or one that is missing or holds no evaluation.
         FormatError: incomplete files.
     """
-    named = [one for folder in map(Path, folders) for one in _members(folder)]
-    chosen = list({real_path(folder): folder for folder in named}.values())
+    named = [(one, folder) for folder in map(Path, folders) for one in _members(folder)]
+    chosen = dict({real_path(one): (one, folder) for one, folder in named}.values())
     if not chosen:
         raise ConfigError("a report needs at least one run: name it with run=FOLDER, or several with runs=[A,B]")
-    return [_gather(folder, title) for folder, title in zip(chosen, _titles(chosen), strict=True)]
+    return [_gather(one, title, chosen[one]) for one, title in zip(chosen, _titles(list(chosen)), strict=True)]
 
 
 def _members(folder: Path) -> list[Path]:
@@ -176,14 +176,15 @@ def _results(folder: Path, above: Path) -> list[Path]:
     return [own] if own.is_file() else [*above.glob("*/results.json"), *above.glob("*/*/results.json")]
 
 
-def _gather(folder: Path, title: str) -> RunFiles:
+def _gather(folder: Path, title: str, named: Path) -> RunFiles:
+    """Read a run or an evaluation, which the folder `named` is or holds."""
     if not folder.is_dir():
         raise ConfigError(f"there is no folder {folder}: name the folder of a run")
     within = run_with(real_path(folder))
     run, top = (Run(folder), folder / "evaluation") if within is None else (within, folder)
     if not (found := _results(folder, top)):
         raise ConfigError(
-            f"{folder} holds no evaluation: measure it first with `siamloc evaluate {as_words({'run': folder})}`"
+            f"{folder} holds no evaluation: measure it first with `siamloc evaluate {as_words({'run': named})}`"
         )
     folders = sorted((path.parent for path in found), key=lambda path: (path.name != "network", by_numbers(path)))
     own = read_survey(run.folder)

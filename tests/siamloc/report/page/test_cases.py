@@ -145,6 +145,14 @@ def test_a_folder_of_evaluations_stands_for_them(run: Path, tmp_path: Path) -> N
     ]
 
 
+def test_of_a_sweep_that_is_not_all_measured_the_report_advises_to_measure_the_sweep(tmp_path: Path) -> None:
+    pages.write_run(tmp_path / "sweep" / "seed-0")
+    for number in (0, 1):
+        Run(tmp_path / "sweep" / f"seed-{number}").start({}, [])
+    with pytest.raises(ConfigError, match=r"seed-1 holds no evaluation: .* run=\S+sweep`"):
+        write_report(tmp_path / "sweep", tmp_path / "report.html")
+
+
 def test_runs_that_cannot_be_compared_are_marked(tmp_path: Path) -> None:
     runs = [pages.write_run(tmp_path / name, n=n) for name, n in (("a", 20), ("b", 21))]
     assert notes(report(tmp_path, *runs).one("section", class_="compared")) == (
