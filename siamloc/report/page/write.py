@@ -9,7 +9,8 @@ from functools import partial
 from pathlib import Path
 
 from foundation.calls import typed
-from foundation.files import write_text
+from foundation.files import real_path, write_text
+from foundation.settings import shortened
 from siamloc import __version__
 from siamloc.data.occupancy import read_occupancy
 from siamloc.errors import ConfigError
@@ -20,6 +21,7 @@ from siamloc.report.page.markup import Markup, fragment, join, plural, script_da
 from siamloc.report.page.parts import Part, parts_of, read_pictures
 from siamloc.results import FURTHER
 
+_MOST_RUNS = 4  # named in the title; of more, the folders that were given
 _SECTIONS: dict[str, Callable[[Part], Markup | None]] = {
     "summary": sections.summary,
     "nodes": tasks.hierarchical,
@@ -59,11 +61,13 @@ def write_report(folders: str | Path | Sequence[str | Path], out: str | Path, pl
     """
     if Path(out).suffix.lower() not in (".html", ".htm"):
         raise ConfigError(f"the report is a web page: give it a name ending in .html, not {out}")
-    runs = gather([folders] if isinstance(folders, str | Path) else folders)
+    named = [folders] if isinstance(folders, str | Path) else folders
+    runs = gather(named)
     occupancy = None if plan is None else read_occupancy(plan)
     parts = parts_of(runs, occupancy)
     decoders = read_pictures(parts)
-    title = ", ".join(run.title for run in runs)
+    titles = [run.title for run in runs] if len(runs) <= _MOST_RUNS else [real_path(one).name for one in named]
+    title = shortened(", ".join(titles))
     body = [_head(title, parts), comparison(parts)]
     for number, run in enumerate(runs):
         if run.survey is not None:

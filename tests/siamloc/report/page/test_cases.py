@@ -145,6 +145,14 @@ def test_a_folder_of_evaluations_stands_for_them(run: Path, tmp_path: Path) -> N
     ]
 
 
+def test_of_many_runs_the_title_names_the_folder(tmp_path: Path) -> None:
+    run, sweep = pages.write_run(tmp_path / "run", n=5), tmp_path / "sweep"
+    for count, title in ((4, "seed-0, seed-1, seed-2, seed-3"), (5, "sweep")):
+        for number in range(count):
+            shutil.copytree(run, sweep / f"seed-{number}", dirs_exist_ok=True)
+        assert report(tmp_path, sweep).one("h1").text == title
+
+
 def test_of_a_sweep_that_is_not_all_measured_the_report_advises_to_measure_the_sweep(tmp_path: Path) -> None:
     pages.write_run(tmp_path / "sweep" / "seed-0")
     for number in (0, 1):
