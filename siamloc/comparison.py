@@ -160,8 +160,8 @@ def without_own(keys: Iterable[str], settings: Sequence[Mapping[str, Any]], kept
     """Return keys without parameters that each choice of a group has for itself, such as the margin of a loss.
 
     They are those with one value for each name of their group that not all settings have, and the class if all names
-    are known. Parameters of descriptors and of ways to build nodes go if all settings have them, too: the same word
-    means something else in each.
+    are known. Parameters of descriptors, of ways to build nodes and of tasks go if all settings have them, too: the
+    same word means something else in each.
 
     Args:
         keys: keys whose values differ.
@@ -174,7 +174,7 @@ def without_own(keys: Iterable[str], settings: Sequence[Mapping[str, Any]], kept
         ['loss.name']
     """
     keys = list(keys)
-    for name in [key for key in keys if key in ("descriptor", "build") or key.endswith(".name")]:
+    for name in [key for key in keys if key in ("descriptor", "build", "task") or key.endswith(".name")]:
         group = name.removesuffix(".name")
         names = [repr(values.get(name)) for values in settings]
         for key in [key for key in keys if within(key, [group]) and key != name and key not in kept]:

@@ -28,8 +28,8 @@ _PROTOCOL = ("protocol",)
 _OF_FRAMES = ("queries", "map", "rooms")
 _LENGTHS = frozenset({"error", "floor", "excess"})
 _ALWAYS = ("descriptor", "distance", "heading", "build")
-# Keys that only say where files are, or that follow from the others.
-_LEFT_OUT = ("data.cache", "data.name", "model.image_size", "frames", "data.unit")
+# Keys that only say where files are or what else was measured, or that follow from the others.
+_LEFT_OUT = ("baselines", "data.cache", "data.name", "model.image_size", "frames", "data.unit")
 
 
 @typed
@@ -200,7 +200,7 @@ def _settings(
         }
         settings.append({**found, **of_run, **{key: value for key, value in said.items() if value is not None}})
     compared = [found for found, has in zip(settings, ranked, strict=True) if has]
-    keys = [*differing(settings, first), *differing(compared, _ALWAYS), *differing(settings, of_runs)]
+    keys = [*differing(settings, [*first, "task"]), *differing(compared, _ALWAYS), *differing(settings, of_runs)]
     alone = not all(swept) and not of_runs
     keys += [
         key
@@ -211,11 +211,13 @@ def _settings(
 
 
 def _of_evaluation(results: Mapping[str, Any]) -> dict[str, Any]:
+    task = next(iter(results["measures"]), None)
     described, layer = dict(results.get("descriptor") or {}), dict(results.get("layer") or {})
     name, build = described.pop("name", None), layer.pop("name", None)
     parameters = {} if "weights" in described else flat(described, prefix="descriptor.")
     return {
         **flat(results["config"], _LEFT_OUT),
+        "task": "localization" if task == "absolute" else task,
         "descriptor": name,
         **parameters,
         "distance": results.get("distance"),

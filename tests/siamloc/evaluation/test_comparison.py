@@ -136,11 +136,12 @@ def test_settings_of_a_task_without_the_measure_make_no_columns(measured, tmp_pa
     other = replace(measured, parts={"compact": {"queries": 3}}, settings={"task": {"radius": 0.5}})
     other.save(tmp_path / "compact", pictures=False)
     found = compare(tmp_path)
-    assert (found.differing, len(found.rows)) == ((), 2)
+    assert found.differing == ("task",)
+    assert [row["task"] for row in found.rows] == ["localization", "compact"]
     further = replace(measured, settings={"task": {**measured.settings.get("task", {}), "candidates": 3}})
     further.save(tmp_path / "other", pictures=False)
     assert "task.candidates" not in compare(tmp_path).differing, "the settings of one task alone"
-    assert found.verdict() == f"best: error 0.9, in {(tmp_path / 'a').as_posix()}"
+    assert found.verdict() == f"best: task=localization, error 0.9, in {(tmp_path / 'a').as_posix()}"
 
 
 def test_mistakes_are_named(measured, tmp_path):
