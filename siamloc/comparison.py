@@ -6,13 +6,12 @@ import math
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from statistics import mean, stdev
 from typing import TYPE_CHECKING, Any
 
 from foundation.calls import typed
 from foundation.files import expanded, write_text
 from foundation.settings import leaves, within
-from siamloc.errors import ConfigError, hint
+from siamloc.errors import ConfigError
 from siamloc.runs import Run
 from siamloc.tables import Column, Table
 
@@ -48,29 +47,6 @@ class Comparison:
         sign = -1 if self.highest else 1
         ranked = sorted(self.rows, key=lambda row: (math.isnan(row[self.by]), sign * row[self.by]))
         return replace(self, rows=tuple(ranked))
-
-    def over(self, setting: str) -> Comparison:
-        """Return a row for all rows that differ in one setting only, such as "seed": mean, standard deviation, number.
-
-        Raises:
-            ConfigError: a setting that is not in `differing`.
-        """
-        if setting not in self.differing:
-            raise ConfigError(f"{setting!r} does not differ: {hint(setting, self.differing)}")
-        others, folder = tuple(name for name in self.differing if name != setting), self.measured[-1]
-        groups: dict[str, list[Mapping[str, Any]]] = {}
-        for row in self.rows:
-            groups.setdefault(repr([row[name] for name in others]), []).append(row)
-        rows = []
-        for group in groups.values():
-            values = [row[self.by] for row in group if not math.isnan(row[self.by])]
-            spread = {self.by: mean(values or [math.nan]), "deviation": stdev(values) if values[1:] else math.nan}
-            paths = [Path(row[folder]) for row in group]
-            shared = [one for one in (paths[0], *paths[0].parents) if all(path.is_relative_to(one) for path in paths)]
-            place = (shared or [Path()])[0].as_posix()
-            rows.append({**{name: group[0][name] for name in others}, **spread, "n": len(values), folder: place})
-        measured = (self.by, "deviation", "n", folder)
-        return replace(self, differing=others, measured=measured, rows=tuple(rows)).in_order()
 
     @property
     def columns(self) -> tuple[str, ...]:

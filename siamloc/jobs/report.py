@@ -71,7 +71,6 @@ class Compare(Job):
         by=val/error     the figure to rank trainings by; the one that picks checkpoints if not given
         by=recall@1      or evaluations: error, error.night, hit_rate, room, recall@5_0.5 within 0.5 m, cost.bytes,
                          or any number in results.json by its path, such as absolute.overall.error.median
-        over=seed        the mean over this setting of those that differ in nothing else, with its standard deviation
         out=FILE.csv     output file, with FILE.png; trainings.csv or evaluations.csv in the folder if not given
 
     Example:
@@ -82,7 +81,6 @@ class Compare(Job):
 
     runs: Several | Text
     by: Text | None = None
-    over: Text | None = None
     out: Text | None = None
 
     def run(self, say: Say = quiet) -> Any:
@@ -92,7 +90,6 @@ class Compare(Job):
         folders = self.runs if isinstance(self.runs, str) else list(self.runs)
         measured = evaluates(folders, self.by)
         found = (evaluation if measured else training).compare(folders, by=self.by)
-        found = found if self.over is None else found.over(self.over)
         say(found.table())
         say(found.verdict())
         if not measured and files_named(folders, "results.json"):

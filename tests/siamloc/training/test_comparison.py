@@ -75,22 +75,6 @@ def test_parameters_that_each_loss_has_for_itself_make_no_columns(losses, differ
     assert compare(tmp_path).differing == differing
 
 
-def test_runs_that_differ_in_their_seed_only_become_a_row_with_mean_and_deviation(tmp_path):
-    errors = {("a", 0): 0.2, ("a", 1): 0.4, ("b", 0): 0.1, ("b", 1): "", ("c", 0): ""}
-    for (branch, seed), error in errors.items():
-        make(tmp_path / f"{branch}/{seed}", {"val/error": [error]}, seed=seed, branch=branch)
-    found = compare(tmp_path).over("seed")
-    assert found.columns == ("model.branch", "val/error", "deviation", "n", "run")
-    folder = tmp_path.as_posix()
-    assert [line.split() for line in found.table().splitlines()[1:]] == [
-        ["b", "0.1", "–", "1", f"{folder}/b"],
-        ["a", "0.3", "0.1414", "2", f"{folder}/a"],
-        ["c", "–", "–", "0", f"{folder}/c/0"],
-    ]
-    with pytest.raises(ConfigError, match=r"'epochs' does not differ: valid: model\.branch, seed"):
-        compare(tmp_path).over("epochs")
-
-
 def test_sweeps_and_runs_are_compared_together(tmp_path):
     for seed, name in enumerate(("sweep/a", "sweep/b", "further/c")):
         make(tmp_path / name, {"val/error": [0.9, 0.5 + seed]}, seed=seed)
