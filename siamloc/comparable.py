@@ -17,8 +17,8 @@ _MOST = 3  # names in a sentence
 def doubts(evaluations: Mapping[str, tuple[Mapping[str, Any], Mapping[str, Columns]]]) -> list[str]:
     """Return a warning if protocols differ, and one for evaluations with other frames than the first evaluation.
 
-    Evaluations that differ from it in the same way share a warning. Frames are the same if the ends of their paths are
-    the same, and their positions where known. The folder of the data set, the order of the frames and the descriptor do
+    Evaluations that differ from it in the same way share a warning. Frames are the same if the ends of their paths,
+    their sequences and their positions are. The folder of the data set, the order of the frames and the descriptor do
     not matter.
 
     Args:
@@ -31,6 +31,10 @@ def doubts(evaluations: Mapping[str, tuple[Mapping[str, Any], Mapping[str, Colum
         name = "queries" if "queries" in tables and "queries" in columns else "rooms"
         queries = _difference("queries", tables.get(name), columns.get(name))
         maps = _difference("map frames", tables.get("map"), columns.get("map"))
+        if name not in tables or name not in columns:
+            asked = [(one.get("denominators") or {}).get("queries") for one in (own, results)]
+            differ = None not in asked and asked[0] != asked[1]
+            queries = f"queries ({' and '.join(map(count, asked))})" if differ else ""
         if "map" not in tables or "map" not in columns:  # their settings still say which frames were selected
             chosen = [((one.get("config") or {}).get("protocol") or {}).get("map") for one in (results, own)]
             maps = "map frames (protocol.map)" if None not in chosen and chosen[0] != chosen[1] else ""
@@ -57,8 +61,8 @@ def _difference(what: str, one: Columns | None, other: Columns | None) -> str:
 
 
 def _frames(columns: Columns) -> set[tuple[Any, ...]]:
-    """Return what identifies each frame: folder and file name, and position, infinite where unknown."""
+    """Return what identifies each frame: folder and file name, sequence, and position, infinite where unknown."""
     ends = [PurePath(path).parts[-2:] for path in columns["path"].tolist()]
     unknown = np.full(len(ends), np.nan)
     x, y = (np.nan_to_num(np.round(columns.get(axis, unknown), 6), nan=np.inf).tolist() for axis in "xy")
-    return set(zip(ends, x, y, strict=True))
+    return set(zip(ends, columns.get("sequence", unknown).astype(str).tolist(), x, y, strict=True))

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foundation.calls import typed
-from foundation.files import expanded, write_text
+from foundation.files import expanded, real_path, write_text
 from foundation.settings import leaves, within
 from siamloc.errors import ConfigError
 from siamloc.runs import Run
@@ -195,9 +195,10 @@ def files_named(folders: str | Path | Iterable[str | Path | Run], name: str) -> 
     several = [folders] if isinstance(folders, str | Path) else list(folders)
     if not several:
         raise ConfigError("nothing to compare: name the folder of a sweep, or several folders")
-    found: dict[Path, None] = {}
+    found: dict[Path, Path] = {}
     for folder in (one.folder if isinstance(one, Run) else expanded(one) for one in several):
         if not folder.is_dir():
             raise ConfigError(f"there is no folder {folder}: name that of a sweep, such as runs/sweep")
-        found |= dict.fromkeys(sorted(folder.rglob(name)))
-    return list(found)
+        for path in sorted(folder.rglob(name)):
+            found.setdefault(real_path(path), path)
+    return list(found.values())

@@ -307,7 +307,9 @@ def _explained(error: Exception, words: list[str], kind: type[Job]) -> Exception
     if isinstance(error, DataError) and (of_data or recorded):
         recorded = recorded and (not of_data or any(word.startswith("recording.") for word in words))
         group = "recording" if recorded else "data"
-        error.args = tuple(_OF_A_READER.sub(rf"{group}.\1=", str(part)) for part in error.args)
+        error.args = tuple(
+            _OF_A_READER.sub(rf"{group}.\1=", part) if isinstance(part, str) else part for part in error.args
+        )
         return error
     text = " ".join(str(error).split())
     index = re.search(r"invalid literal for int\(\) .*'(\w+)'", text) if type(error) is ValueError else None

@@ -294,9 +294,15 @@ class Bag:
         except Exception as error:
             reason = " ".join(str(error).split()) or type(error).__name__
             remedy = "it is damaged or cut short; `rosbag reindex` or `ros2 bag reindex` may repair it"
-            if (self.path.parent / METADATA).is_file():  # which says whether the messages are compressed
-                remedy = f"name its folder, {self.path.parent}"
+            if is_part(self.path):  # the folder says whether the messages are compressed
+                remedy = f"name its folder, {self.path.parent}, and if that cannot be read, {remedy}"
             raise DataError(f"{self.path} cannot be read as a ROS bag ({reason.rstrip('.')}): {remedy}") from error
+
+
+def is_part(path: Path) -> bool:
+    """Return whether a file belongs to the ROS 2 bag in its folder."""
+    said = path.parent / METADATA
+    return path.is_file() and said.is_file() and path.name in said.read_text(encoding="utf-8", errors="replace")
 
 
 def demosaiced(content: bytes, form: str) -> bytes:

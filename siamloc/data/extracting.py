@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from foundation.calls import OF_FIELDS, takes, typed
 from foundation.files import expanded, read_json, real_path, write_bytes, write_json, write_picture, write_text
 from foundation.settings import Count, Positive, Settings, Text
-from siamloc.data.bags import KINDS, METADATA, Bag, Clock, proposed
+from siamloc.data.bags import KINDS, METADATA, Bag, Clock, is_part, proposed
 from siamloc.data.films import COUNTED, Film
 from siamloc.data.frames import BAGS, VIDEOS, FrameTable, advice, placed
 from siamloc.data.image_files import UnreadableImageError, decode_image
@@ -259,7 +259,7 @@ def _opened(
     if path.suffix.lower() in VIDEOS:
         return Film(path)
     if path.suffix.lower() in BAGS or (path / METADATA).is_file():
-        if (path.parent / METADATA).is_file() and (parts := len([*path.parent.glob(f"*{path.suffix}")])) > 1:
+        if is_part(path) and (parts := len([*path.parent.glob(f"*{path.suffix}")])) > 1:
             say_once(f"{path} is a part of the bag {path.parent}: name the folder to read all {parts} parts")
         return Bag(path)
     if path.is_dir():

@@ -199,8 +199,8 @@ class FrameTable:
 
     @property
     def place(self) -> NDArray[np.str_]:
-        """Room labels that differ between buildings (n,): "building/room", or the room where there is no building."""
-        prefix = np.where(self.building != "", np.char.add(self.building, "/"), "")
+        """Room labels that differ between buildings (n,): "building/room", or the room where there is none of both."""
+        prefix = np.where((self.building != "") & (self.room != ""), np.char.add(self.building, "/"), "")
         return np.char.add(prefix, self.room)
 
     def identities(self) -> list[tuple[str, str]]:
@@ -345,11 +345,10 @@ def concatenate(tables: Sequence[FrameTable]) -> FrameTable:
 def room_names(*tables: FrameTable) -> list[NDArray[np.str_]]:
     """Return unique names of the rooms of each table, with the building only if there are several.
 
-    If a single building is named, frames that state none are taken to be in it.
+    If the tables name a single building, frames that state none are taken to be in it.
     """
-    buildings = [set(table.building.tolist()) for table in tables]
-    several = len(set().union(*buildings) - {""}) > 1 or any(len(one) > 1 for one in buildings)
-    return [table.place if several else table.room for table in tables]
+    named = {name for table in tables for name in np.unique(table.building).tolist()} - {""}
+    return [table.place if len(named) > 1 else table.room for table in tables]
 
 
 def check_units(tables: Iterable[FrameTable]) -> None:

@@ -14,7 +14,7 @@ from foundation.settings import leaves, within
 from siamloc.comparable import doubts
 from siamloc.comparison import Comparison, differing, files_named, flat, without_own
 from siamloc.errors import ConfigError, FormatError, hint
-from siamloc.results import FURTHER, Columns, read_results, read_rows
+from siamloc.results import FURTHER, read_results
 from siamloc.runs import Run, run_with
 
 _CHOSEN_BY = ("error", "room", "mapping.silhouette.with_unassigned", "buildings.overall.accuracy")
@@ -25,7 +25,6 @@ _HIGHEST = (
     *("silhouette", "descriptor_silhouette", "purity", "precision", "f1"),
 )
 _PROTOCOL = ("protocol",)
-_OF_FRAMES = ("queries", "map", "rooms")
 _LENGTHS = frozenset({"error", "floor", "excess"})
 _ALWAYS = ("descriptor", "distance", "heading", "build")
 # Keys that only say where files are or what else was measured, or that follow from the others.
@@ -81,7 +80,7 @@ def compare(folders: str | Path | Iterable[str | Path | Run], by: str | None = N
     found = Comparison(by, tuple(keys), columns, tuple(rows), highest, _unit(by, results)).in_order()
     read = {path.parent.as_posix(): one for path, one in zip(paths, results, strict=True)}
     ranked = [row["folder"] for row in found.rows if not math.isnan(row[by])]
-    notes = doubts({folder: (read[folder], _tables(folder, read[folder])) for folder in ranked}) if ranked else ()
+    notes = doubts({folder: (read[folder], {}) for folder in ranked}) if ranked else ()
     return replace(found, notes=tuple(notes))
 
 
@@ -155,12 +154,6 @@ def _named(parts: Mapping[str, Any]) -> Iterator[tuple[str, float | None]]:
         yield f"room{label}", group["accuracy"]
 
 
-def _tables(folder: str, results: Mapping[str, Any]) -> dict[str, Columns]:
-    """Return the tables that say which frames were compared; those whose file was not kept are left out."""
-    named = {name: table["file"] for name, table in results.get("tables", {}).items() if name in _OF_FRAMES}
-    return {name: read_rows(folder, name) for name, file in named.items() if Path(folder, file).is_file()}
-
-
 def _groups(part: Mapping[str, Any] | None) -> Iterator[tuple[str, Any]]:
     """Yield the measures of all queries as "", and the measures of each lighting under a name such as ".night"."""
     if part is not None:
@@ -205,7 +198,8 @@ def _settings(
     keys += [
         key
         for key in differing(compared)
-        if (alone or within(key, _PROTOCOL)) and all(key in found for found in compared)
+        if (alone or within(key, _PROTOCOL))
+        and (within(key, ("descriptor", "build")) or all(key in found for found in compared))
     ]
     return settings, without_own(dict.fromkeys(keys), settings, first)
 

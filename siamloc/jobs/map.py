@@ -113,9 +113,9 @@ class MapFrames(RunJob):
         given: dict[str, Any] = {"distance": self.distance, "mounting": self.mounting.known, "made": made}
         given |= {"heading": heading, "validation": roles.get("validation")}
         known = maps.build(described, images, roles["map"], **given)
-        warn_of_axes(known, self.update.radius)
         known.save(target)
         run.record_written([target])
+        warn_of_axes(known)
         bare = len(known) - int(known.frames.has_position.sum())
         without = f", {bare} of which have no position: images most like them get none" if 0 < bare < len(known) else ""
         say(f"map: {target}, {len(known)} frames{without}, descriptors of {known.width} numbers")

@@ -16,6 +16,7 @@ from siamloc.maps.visual_map import VisualMap
 
 _SOME, _FEW, _MOST = 10, 0.25, 0.6  # frames, and shares of them that agree: with other axes, at most and at least
 _COMPARED = 3  # map frames that a frame is compared with
+_JUDGED = 25  # frames of a drive of a map with which it is judged
 _LOOKED_AT = 30  # frames of each drive of a map
 _MOTIONS = 300  # that are tried
 _SURE = 0.5  # share of the map frames that agree where a frame is located
@@ -82,8 +83,10 @@ def check_axes(known: VisualMap, drive: VisualMap, alike: Retrieval, located: ND
         )
 
 
-def warn_of_axes(known: VisualMap, radius: float) -> None:
+def warn_of_axes(known: VisualMap, radius: float = 1.0) -> None:
     """Warn of each drive of a map whose positions are not where the drives before it locate its frames.
+
+    Drives with few frames are not judged.
 
     Args:
         known: the map.
@@ -91,14 +94,18 @@ def warn_of_axes(known: VisualMap, radius: float) -> None:
     """
     placed, before = known.frames.has_position, np.empty(0, dtype=np.int64)
     for name, rows in known.frames.rows_by("sequence").items():
-        rows = rows[placed[rows]]
-        if before.size and rows.size:
+        if len(rows := rows[placed[rows]]) < _JUDGED:
+            continue
+        if before.size:
             earlier, drive = known.take(before), known.take(rows[spread_rows(len(rows), _LOOKED_AT)])
             alike = match(earlier, drive.turning(), min(_COMPARED, len(earlier)))
             try:
                 check_axes(earlier, drive, alike, alike.indices[:, 0], radius)
             except WrongAxesError as error:
-                said = "drive %s of this map, compared with the others: %s. Bring all into one frame, or map one drive"
+                said = (
+                    "drive %s of this map and the drives before it seem to be in different frames: %s. Bring all into "
+                )
+                said += "one frame, give those of another building its name in the column building, or map one drive"
                 logger.warning(said, name, error.finding)
         before = np.concatenate([before, rows])
 

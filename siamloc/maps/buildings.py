@@ -39,18 +39,20 @@ def buildings_of(known: VisualMap, drive: VisualMap, radius: float = 1.0) -> NDA
     if len(names) == 1 or not len(asked):
         building[asked] = names[0]
         return building.astype(np.str_)
-    unlike = np.zeros((len(drive), len(names)))
+    unlike, least = np.zeros((len(drive), len(names))), list[NDArray[np.float64]]()
     for part in (asked[part] for part in slices(len(asked), _AT_ONCE)):
         xy = drive.frames.xy[part]
         apart = np.hypot(xy[:, :1] - known.frames.x, xy[:, 1:] - known.frames.y)
         around = apart <= apart.min(axis=1, keepdims=True) + _REACH * radius
         of = np.stack([around & (number == one) for one in range(len(names))])
         unlike[part] = np.where(of.any(axis=2).T, 0.0, np.inf)
-        if (np.isfinite(unlike[part]).sum(axis=1) > 1).any():
-            rows = np.flatnonzero(around.any(axis=0))
-            distances = learned_distances(known.take(rows), drive.turning(part))
-            unlike[part] = np.where(of[:, :, rows], distances, np.inf).min(axis=2).T
-    usual = float(np.median(unlike[asked].min(axis=1)))
+        some = np.isfinite(unlike[part]).sum(axis=1) > 1
+        if some.any():
+            rows = np.flatnonzero(around[some].any(axis=0))
+            distances = learned_distances(known.take(rows), drive.turning(part[some]))
+            unlike[part[some]] = np.where(of[:, some][:, :, rows], distances, np.inf).min(axis=2).T
+            least.append(unlike[part[some]].min(axis=1))
+    usual = float(np.median(np.concatenate(least))) if least else 0.0
     for of in drives:
         of = of[building[of] == ""]
         building[of] = names[_cheapest(unlike[of], _CHANGE * usual)]

@@ -164,7 +164,8 @@ def update(
         known: a map whose frames all have positions; it is not changed.
         images: panoramas of the drive.
         drive: n frames of one drive in capture order, all or some with positions in the map's coordinates, or none.
-            Those that state no building get the one of the map in which they were taken; one that the map lacks is new.
+            Those that state no building get the one of the map in which they were taken; one that the map lacks is
+            a new one if there are positions, and else refused.
         deviation: (n,) standard deviation of each position, such as `drive.deviation`, NaN where it is unknown;
             all positions are certain if None.
         built: nodes over the map's frames. Nodes of an incremental map need their mapper, as `siamloc.maps.group`

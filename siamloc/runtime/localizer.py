@@ -103,6 +103,7 @@ class Localizer:
         read_whole(bundle_path, partial(self._read, bundle_path, camera, threads, providers, hierarchical))
         self._placed = self.map.placed() if self.map.frames.has_position.any() else None
         self._rooms = room_names(self.map.frames)[0]
+        self._placed_rooms = self._rooms[self.map.frames.has_position]
         network = self._network
         self._compare = network.compare if network is not None and network.compares else None
         relative = self._refinement is not None and self._refinement.method == "relative"
@@ -271,7 +272,7 @@ class Localizer:
         known, rooms, row, covariance, of_map = self.map, self._rooms, candidates[0].row, None, 0.0
         if isinstance(tracker, SequenceFilter):
             assert self._placed is not None
-            known, rooms, pose = self._placed, self._rooms[frames.has_position], None
+            known, rooms, pose = self._placed, self._placed_rooms, None
             row = int(tracker.step(frame_distances(known, query)[0], motion).argmax())
             found = Retrieval(np.array([[row]]), np.zeros((1, 1)))
             # A frame stands for all places up to half a spacing from it, in either direction.

@@ -308,7 +308,9 @@ def test_drives_of_a_map_in_different_frames_are_warned_of(known, drives, caplog
         both = known.merge(build("hog", drives[1], moved, progress=False))
         caplog.clear()
         warn_of_axes(both, 1.0)
-        assert wrong == ("drive same of this map, compared with the others: the drive's positions" in caplog.text)
+        assert wrong == (
+            "drive same of this map and the drives before it seem to be in different frames: the" in caplog.text
+        )
     for columns in ({"x": np.full(FRAMES, np.nan)}, {"building": ["annex"] * FRAMES}):
         caplog.clear()
         warn_of_axes(known.merge(build("hog", drives[1], moved.with_columns(**columns), progress=False)), 1.0)
