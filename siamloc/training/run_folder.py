@@ -185,7 +185,9 @@ def progress(run: Run) -> tuple[int, int]:
 
 def stopped(run: Run, when: str) -> KeyboardInterrupt:
     """Print how to go on with a training that the user stopped, and return the exception that ends it."""
-    text = f"stopped {when}: go on with resume=true, {as_words({'run': run.folder})}"
+    swept = (run.folder.parent / "multirun.yaml").is_file()  # where Hydra keeps the words of a sweep
+    again = "the same command and resume=true" if swept else f"resume=true, {as_words({'run': run.folder})}"
+    text = f"stopped {when}: go on with {again}"
     print(text, file=sys.stderr, flush=True)
     return KeyboardInterrupt(text)
 

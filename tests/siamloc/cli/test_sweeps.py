@@ -12,6 +12,7 @@ from siamloc.cli import main
 from siamloc.maps import VisualMap
 from siamloc.results import read_results
 from siamloc.runs import Run, runs_in
+from siamloc.training.run_folder import stopped
 from tests.siamloc.cli.commands import QUICK, SMALL, done, refused
 
 BINS, DISTANCES = (8, 16), ("euclidean", "correlation")
@@ -118,6 +119,20 @@ def test_a_sweep_ends_with_the_first_job_that_fails_in_one_sentence(here, words,
     assert lines[0].startswith("siamloc: ")
     assert "none.csv" in lines[0]
     assert lines[0].endswith("(at data.manifest=none.csv, which ended the sweep; jobs not run: 1)")
+
+
+def test_stopping_a_sweep_says_how_to_go_on_with_it(data, here, capsys, monkeypatch):
+    def fit(*arguments, run, **keywords):
+        if run.name == "seed-1":
+            raise stopped(Run(run), "after 0 of 1 epochs")
+        return Run(run)
+
+    monkeypatch.setattr("siamloc.training.fit", fit)
+    assert main(["seed=0,1,2,3" if word == "seed=0,1" else word for word in train(data, "sweep")]) == 130
+    assert capsys.readouterr().err.splitlines()[-2:] == [
+        "stopped after 0 of 1 epochs: go on with the same command and resume=true",
+        "siamloc: interrupted (at seed=1, which ended the sweep; jobs not run: 2)",
+    ]
 
 
 @pytest.mark.slow
