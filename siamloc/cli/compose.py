@@ -37,7 +37,7 @@ _HYDRA = (
     "hydra.output_subdir=null",
     "hydra.job.chdir=false",
 )
-_OF_A_READER = re.compile(r"(?<![\w./])(form|order|axes|offset|times|clock|on_error)=(?=[A-Za-z])")
+_OF_A_READER = re.compile(r"(?<![\w./])(root|places|form|order|axes|offset|times|clock|on_error)=(?=[A-Za-z])")
 """Arguments that the messages of readers name, and which are keys of a group here."""
 _BRANCH = ("model/branch", "model.branch.name")
 """Keys that name a branch."""
@@ -262,7 +262,7 @@ def _for_each_run(
             raise ConfigError(f"{named[0]}: no run in {config.run} has this branch: leave it out, each keeps its own")
         import_own(key_of(named[0]), own)
         words = [word for word in given if word not in named]
-    failed: dict[str, SiamlocError] = {}
+    failed: dict[str, Exception] = {}
     for number, run in enumerate(found, 1):
         print(f"run {number} of {len(found)}: {run.folder}", flush=True)
         one = config.copy()
@@ -270,8 +270,8 @@ def _for_each_run(
         try:
             work(one, words)
         except SiamlocError as error:
-            failed[str(run.folder)] = error
-            print(f"siamloc: {run.folder}: {error}", file=sys.stderr)
+            failed[str(run.folder)] = problem = _explained(error, words, job_of(command))
+            print(f"siamloc: {run.folder}: {problem}", file=sys.stderr)
     if failed:
         folder, first = next(iter(failed.items()))
         raise ConfigError(f"{len(failed)} of {len(found)} runs failed, the first is {folder}: {first}") from first

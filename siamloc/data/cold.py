@@ -139,8 +139,8 @@ class _Source:
 
 def _find(root: Path) -> list[_Source]:
     if not root.is_dir():
-        other = "one list is read with places=FILE, and `siamloc fetch cold` loads the database"
-        raise DataError(f"{root} is not a folder; {other}. Expected {_LAYOUT}")
+        other = "give root=FOLDER, or one list as places=FILE; `siamloc fetch cold` loads the database"
+        raise DataError(f"{root} is not a folder: {other}. Expected {_LAYOUT}")
     if not (found := _sources(root)):
         held = first_names(root) or "nothing"
         raise DataError(f"no sequence found under {root}, which holds: {held}. Expected {_LAYOUT}")

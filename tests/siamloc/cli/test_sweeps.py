@@ -235,6 +235,15 @@ def test_long_words_make_names_that_file_systems_take(here, words):
     assert len(list(Run("run").evaluation("hog").glob("*/results.json"))) == 2
 
 
+def test_data_that_have_moved_are_named_by_their_keys(here, capsys):
+    settings = {"data": {"kind": "cold", "root": "moved"}, "model": {"branch": "simple1", "head": "gem"}}
+    Run("sweep/seed-0").start(settings, [])
+    says = "moved is not a folder: give data.root=FOLDER, or one list as data.places=FILE"
+    assert refused(capsys, "map", "descriptor=hog", "run=sweep/seed-0").startswith(f"siamloc: {says}")
+    assert main(["map", "descriptor=hog", "run=sweep"]) == 2
+    assert capsys.readouterr().err.count(says) == 2
+
+
 @pytest.mark.slow
 def test_joblib_trains_the_jobs_of_a_sweep_side_by_side(here, data):
     pytest.importorskip("hydra_plugins.hydra_joblib_launcher", reason="the extra `sweeps` is not installed")

@@ -237,7 +237,7 @@ def test_where_nothing_can_be_read_the_sentence_says_what_is_there(tmp_path):
     says(r"which holds: nothing\. Expected <building>/part_")
     (tmp_path / "file0.txt").write_text("")
     says(r"no sequence found under .*, which holds: file0\.txt\. Expected")
-    says("one list is read with places=FILE", root=tmp_path / "file0.txt")
+    says("is not a folder: give root=FOLDER, or one list as places=FILE", root=tmp_path / "file0.txt")
     says(r"places\.lst cannot be read", places=tmp_path / "places.lst")
     (tmp_path / "seq1_cloudy1/omni_cam").mkdir(parents=True)
     says("no images, and there is no list")
