@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from foundation.extras import installing
 from foundation.files import expanded
-from foundation.settings import merged
+from foundation.settings import checked, merged
 from foundation.words import quoted, unquoted
 from siamloc.cli.help import job_of
 from siamloc.cli.overrides import flags_first, key_of, meant, only_of_others, together
@@ -252,7 +252,8 @@ def _for_each_run(
     Raises:
         SiamlocError: what was wrong with the first run that failed; or no run has the branch.
     """
-    found = runs_in(config.run) if command in OF_SWEEPS and str(config.run or "").strip() else []
+    swept = command in OF_SWEEPS and str(config.run or "").strip()
+    found = runs_in(checked(config.run, str, "run")) if swept else []
     if not found:
         work(config, given)
     words = given

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import re
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -34,6 +35,7 @@ _FREE = (
     *("trainer.processes", "trainer.limit_train_batches", "trainer.max_steps"),  # unless a schedule depends on them
 )
 _LEARNED = ("data", "views", "protocol", "model", "loss", "training", "augment", "trainer")
+_SECTION = re.compile(r"training\.|model\.(?=seed|image_size)")  # of the record, and not of the keys that users give
 _ROLES = {"train": "training", "validation": "validation"}
 _PICTURES = 8  # examined, spread over the frames
 _CELLS = (8, 4)  # columns and rows of their thumbnails
@@ -135,9 +137,10 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
         for key in sorted({*old, *new}):
             told = key in old or section != "trainer"  # older records hold less of the trainer
             if told and old.get(key) != new.get(key) and not key.startswith(free):
+                name = _SECTION.sub("", key)
                 raise ConfigError(
-                    f"{run.folder} was trained with {key}={old.get(key)} and cannot be resumed with "
-                    f"{key}={new.get(key)}: leave it as it was, or train another run"
+                    f"{run.folder} was trained with {name}={old.get(key)} and cannot be resumed with "
+                    f"{name}={new.get(key)}: leave it as it was, or train another run"
                 )
     if other_data:
         raise ConfigError(f"{run.folder} was trained with other data: {other_data}; give it, or train another run")

@@ -132,6 +132,7 @@ def test_a_table_that_changed_since_its_map_was_made(flat, words, tmp_path, caps
             ["report", "runs=[]"],
             "runs must be a list of one name or more, or a text that is not empty, or null, got []",
         ),
+        (["evaluate", "run=[a,b]"], "siamloc: run must be a text, got ['a', 'b']"),
         (["demo", "run={file}", "data={data}"], "is a file: choose a new or empty folder as run="),
         *[
             ([*command.split(), "data.manifest={table}", "data.cache={data}"], "a file stands where a folder is needed")
