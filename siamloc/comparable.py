@@ -32,9 +32,10 @@ def doubts(evaluations: Mapping[str, tuple[Mapping[str, Any], Mapping[str, Colum
         queries = _difference("queries", tables.get(name), columns.get(name))
         maps = _difference("map frames", tables.get("map"), columns.get("map"))
         if name not in tables or name not in columns:
-            asked = [(one.get("denominators") or {}).get("queries") for one in (own, results)]
-            differ = None not in asked and asked[0] != asked[1]
-            queries = f"queries ({' and '.join(map(count, asked))})" if differ else ""
+            asked = [
+                one["denominators"]["queries"] for one in (own, results) if "queries" in one.get("denominators", {})
+            ]
+            queries = f"queries ({' and '.join(map(count, asked))})" if len(set(asked)) > 1 else ""
         if "map" not in tables or "map" not in columns:  # their settings still say which frames were selected
             chosen = [((one.get("config") or {}).get("protocol") or {}).get("map") for one in (results, own)]
             maps = "map frames (protocol.map)" if None not in chosen and chosen[0] != chosen[1] else ""
