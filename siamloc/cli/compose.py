@@ -220,12 +220,10 @@ def _sweep_of_the_job() -> Sweep:
     if hydra.mode != RunMode.MULTIRUN:
         return Sweep()
     fixed = set(hydra.job.config.override_dirname.exclude_keys)
-    given = {key_of(word): word.lstrip("+~") for word in hydra.overrides.task}
+    words = {key: word.lstrip("+~") for word in hydra.overrides.task if (key := key_of(word)) not in fixed}
     parser = OverridesParser.create()
-    values = {key: parser.parse_override(word).value() for key, word in given.items() if key not in fixed}
-    words = {key: word.partition("=")[2] for key, word in given.items()}
-    shared = {key: words.pop(key) for key in fixed & words.keys()}
-    return Sweep(values, words, int(hydra.job.num), shared)
+    values = {key: parser.parse_override(word).value() for key, word in words.items()}
+    return Sweep(values, {key: word.partition("=")[2] for key, word in words.items()}, int(hydra.job.num))
 
 
 def _ended(sweep: Sweep, not_run: int) -> str:

@@ -7,12 +7,10 @@ import re
 from collections.abc import Callable, Mapping
 from contextvars import ContextVar, copy_context
 from dataclasses import dataclass, field
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 from foundation.settings import within
-from siamloc.runs import runs_in
 
 Choice = Callable[[str], bool]
 _MOST_BYTES = 150  # in a folder name; file systems allow 255
@@ -41,13 +39,11 @@ class Sweep:
         values: the settings that differ between the jobs, by key, such as {"model/branch": "vgg11", "seed": 1}.
         words: the same settings as texts, for the names of folders.
         number: number of the job in the sweep; None outside sweeps.
-        shared: the given settings that are the same for all jobs, as texts.
     """
 
     values: Mapping[str, Any] = field(default_factory=dict)
     words: Mapping[str, str] = field(default_factory=dict)
     number: int | None = None
-    shared: Mapping[str, str] = field(default_factory=dict)
 
     def run(self, call: Callable[..., Any], *arguments: Any) -> Any:
         """Call a function, in which jobs are those of this sweep."""
@@ -72,14 +68,11 @@ def sweep_suffix(wanted: Choice | None = None) -> str:
         wanted: which keys to name. If None, all, and a job that differs in none gets its number.
     """
     sweep = _RUNNING.get()
-    name = _named({key: word for key, word in sweep.words.items() if wanted is None or wanted(key)})
-    return str(sweep.number) if wanted is None and not name and sweep.number is not None else name
-
-
-def _named(words: Mapping[str, str]) -> str:
-    """Return the name of a folder that says the values of some keys."""
-    text = "_".join(sorted(f"{key}-{word}" for key, word in words.items()))
-    name = _plain(text)
+    chosen = [f"{key}-{word}" for key, word in sweep.words.items() if wanted is None or wanted(key)]
+    text = "_".join(sorted(chosen))
+    if wanted is None and not text and sweep.number is not None:
+        text = str(sweep.number)
+    name = re.sub(r"[^\w.+-]+", "-", text)
     if not (unusual := _UNUSUAL.search(text)):
         text = name
     if unusual or len(name.encode()) > _MOST_BYTES:
@@ -87,33 +80,6 @@ def _named(words: Mapping[str, str]) -> str:
         text = text.replace("'", "").replace('"', "")
         name = f"{start}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
     return name
-
-
-def _plain(text: str) -> str:
-    return re.sub(r"[^\w.+-]+", "-", text)
-
-
-def run_folder(folder: Path) -> Path:
-    """Return the folder of a training inside the folder that a sweep shares; outside sweeps, the shared folder itself.
-
-    A key that is left with one value is not in the name. If an earlier sweep has named a run here after that key and
-    value, too, it is the same training, and so it is if a number was written as 1.0 and not as 1.
-    """
-    if not (suffix := sweep_suffix()):
-        return folder
-    sweep, runs = _RUNNING.get(), {_whole(run.folder.name): run.folder for run in runs_in(folder)}
-    named = [key for key in sweep.shared if any(f"{_plain(key)}-" in name for name in runs)]
-    for count in range(len(named), -1, -1):
-        for keys in combinations(named, count):
-            name = _whole(_named({**sweep.words, **{key: sweep.shared[key] for key in keys}}))
-            if name in runs:
-                return runs[name]
-    return folder / suffix
-
-
-def _whole(name: str) -> str:
-    """Return the name of a folder with numbers such as 1.0 as 1."""
-    return re.sub(r"(-\d+)\.0(?=_|$)", r"\1", name)
 
 
 def own_folder(folder: Path, titles: Mapping[str, str], wanted: Choice) -> Path:

@@ -17,7 +17,7 @@ from siamloc.jobs.choices import Augment, Folder, Loader, Loss, Model, TrainerKe
 from siamloc.jobs.job import Given, Job, Say, quiet
 from siamloc.jobs.run_job import OF_NETWORKS, DataJob
 from siamloc.jobs.stored import with_settings_of_the_run
-from siamloc.jobs.sweep import run_folder, sweep_suffix
+from siamloc.jobs.sweep import sweep_suffix
 from siamloc.models.registry import LOSSES, Optimizer
 from siamloc.pretraining.settings import RECIPE, ViewSettings
 from siamloc.runs import Run
@@ -92,7 +92,7 @@ class _Training(Learning, Job):
         branch = re.sub("[/:]", "-", self.model.branch.name)
         names = [data, branch, self.model.head.name, f"seed{self.seed}"]
         folder = Path("runs") / "-".join(names) if self.folder is None else Path(self.folder)
-        return run_folder(folder)
+        return folder / sweep_suffix() if sweep_suffix() else folder
 
     def common(self, data: str) -> dict[str, Any]:
         """Return the arguments that the calls of both trainings have; `data` begins the name of the run's folder."""

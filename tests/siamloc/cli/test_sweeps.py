@@ -147,12 +147,6 @@ def test_an_interrupted_sweep_goes_on(seeds, data, here, capsys):
     assert "there is no run to resume" in refused(capsys, *alone, "resume=true")
 
 
-def test_a_sweep_with_fewer_values_than_an_earlier_one_finds_its_runs(seeds, data, here, capsys):
-    shutil.copytree(seeds / "seed-1", here / "sweep" / "seed-1")
-    fewer = ["seed=1" if word == "seed=0,1" else word for word in train(data, here / "sweep")]
-    assert f"{here / 'sweep' / 'seed-1'} holds a run already" in refused(capsys, *fewer)
-
-
 @pytest.mark.slow
 def test_map_evaluate_and_report_take_the_folder_of_a_sweep(seeds, capsys):
     done("map", f"run={seeds}")

@@ -2,8 +2,7 @@ import unicodedata
 
 import pytest
 
-from siamloc.jobs.sweep import Sweep, run_folder, sweep_suffix
-from siamloc.runs import Run
+from siamloc.jobs.sweep import Sweep, sweep_suffix
 
 
 def folder(**words):
@@ -35,27 +34,3 @@ def test_a_folder_can_be_made_for_long_names_in_any_script():
     first, second = (folder(key=f"['{'가' * 97}{end}']") for end in "ab")
     assert first != second
     assert len(first.encode()) < 255
-
-
-@pytest.mark.parametrize(
-    ("words", "shared", "name"),
-    [
-        ({"seed": "1"}, {"pairs.places": "8", "pairs": "in_batch"}, "pairs.places-8_seed-1"),
-        ({}, {"pairs.places": "8", "seed": "1"}, "pairs.places-8_seed-1"),
-        ({"seed": "1"}, {"pairs.places": "9"}, "seed-1"),
-        ({"pairs.places": "8", "seed": "1"}, {}, "pairs.places-8_seed-1"),
-        ({"seed": "2"}, {"pairs.places": "8"}, "seed-2"),
-        ({"pairs.radius": "1"}, {"seed": "0"}, "pairs.radius-1.0"),
-        ({"pairs.radius": "2.0"}, {"seed": "0"}, "pairs.radius-2.0"),
-    ],
-)
-def test_a_training_has_the_folder_that_an_earlier_sweep_gave_it(tmp_path, words, shared, name):
-    for folder in ("pairs.places-8_seed-1", "pairs.radius-1.0"):
-        Run(tmp_path / folder).start({}, [])
-    assert Sweep(words=words, number=0, shared=shared).run(run_folder, tmp_path) == tmp_path / name
-
-
-def test_a_folder_with_a_checksum_is_found_again(tmp_path):
-    first = Sweep(words={"query": "['a (1)']", "seed": "1"}).run(run_folder, tmp_path)
-    Run(first).start({}, [])
-    assert Sweep(words={"seed": "1"}, shared={"query": "['a (1)']"}).run(run_folder, tmp_path) == first
