@@ -71,12 +71,6 @@ def run(command: str, words: list[str]) -> None:
         sweep = _sweep_of_the_job()
         try:
             sweep.run(_for_each_run, command, config, given, lambda one, words: _made(kind, one, words).run(_print))
-        except KeyboardInterrupt as stop:
-            if not sweep.words or os.getpid() != process:
-                raise
-            text = f"interrupted {_ended(sweep, _jobs(words) - (sweep.number or 0) - 1)}"
-            print(f"siamloc: {text}", file=sys.stderr)
-            raise KeyboardInterrupt(text) from stop
         except Exception as error:
             if os.getpid() != process:  # of a launcher, whose list is a copy
                 raise
@@ -100,7 +94,8 @@ def run(command: str, words: list[str]) -> None:
         except SiamlocError as problem:
             if not sweep.words:
                 raise
-            raise SiamlocError(f"{problem} {_ended(sweep, not_run)}") from problem
+            where = " ".join(f"{key}={word}" for key, word in sweep.words.items())
+            raise SiamlocError(f"{problem} (at {where}, which ended the sweep; jobs not run: {not_run})") from problem
 
 
 def composed(command: str, words: list[str]) -> Job:
@@ -224,20 +219,6 @@ def _sweep_of_the_job() -> Sweep:
     parser = OverridesParser.create()
     values = {key: parser.parse_override(word).value() for key, word in words.items()}
     return Sweep(values, {key: word.partition("=")[2] for key, word in words.items()}, int(hydra.job.num))
-
-
-def _ended(sweep: Sweep, not_run: int) -> str:
-    where = " ".join(f"{key}={word}" for key, word in sweep.words.items())
-    return f"(at {where}, which ended the sweep; jobs not run: {not_run})"
-
-
-def _jobs(words: list[str]) -> int:
-    """Return the number of jobs of a sweep."""
-    from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
-    from hydra.core.override_parser.overrides_parser import OverridesParser
-
-    given = OverridesParser.create().parse_overrides([word for word in words if not word.startswith("-")])
-    return len(BasicSweeper.split_arguments(given, None)[0])
 
 
 def _for_each_run(

@@ -199,8 +199,8 @@ class FrameTable:
 
     @property
     def place(self) -> NDArray[np.str_]:
-        """Room labels that differ between buildings (n,): "building/room", or the room where there is none of both."""
-        prefix = np.where((self.building != "") & (self.room != ""), np.char.add(self.building, "/"), "")
+        """Room labels that differ between buildings (n,): "building/room", or the room where there is no building."""
+        prefix = np.where(self.building != "", np.char.add(self.building, "/"), "")
         return np.char.add(prefix, self.room)
 
     def identities(self) -> list[tuple[str, str]]:
@@ -348,7 +348,9 @@ def room_names(*tables: FrameTable) -> list[NDArray[np.str_]]:
     If the tables name a single building, frames that state none are taken to be in it.
     """
     named = {name for table in tables for name in np.unique(table.building).tolist()} - {""}
-    return [table.place if len(named) > 1 else table.room for table in tables]
+    if len(named) < 2:
+        return [table.room for table in tables]
+    return [np.where(table.room == "", "", table.place) for table in tables]
 
 
 def check_units(tables: Iterable[FrameTable]) -> None:

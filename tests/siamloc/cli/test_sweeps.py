@@ -129,10 +129,9 @@ def test_stopping_a_sweep_says_how_to_go_on_with_it(data, here, capsys, monkeypa
 
     monkeypatch.setattr("siamloc.training.fit", fit)
     assert main(["seed=0,1,2,3" if word == "seed=0,1" else word for word in train(data, "sweep")]) == 130
-    assert capsys.readouterr().err.splitlines()[-2:] == [
-        "stopped after 0 of 1 epochs: go on with the same command and resume=true",
-        "siamloc: interrupted (at seed=1, which ended the sweep; jobs not run: 2)",
-    ]
+    assert capsys.readouterr().err.endswith(
+        "stopped after 0 of 1 epochs: go on with the same command and resume=true\n"
+    )
 
 
 @pytest.mark.slow

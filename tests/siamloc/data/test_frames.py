@@ -209,7 +209,7 @@ def test_unit_and_source_are_kept_and_do_not_count_for_equality():
 def test_frames_are_known_by_sequence_and_absolute_path_and_rooms_by_building(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert FrameTable(path=["a/../b.jpg"], sequence=["one"]).identities() == [("one", str(tmp_path / "b.jpg"))]
-    assert table().place.tolist() == ["one/a", "one/b", "", "a", "b", ""]
+    assert table().place.tolist() == ["one/a", "one/b", "one/", "a", "b", ""]
 
 
 def test_copies_are_read_only_too():
