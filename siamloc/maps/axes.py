@@ -102,11 +102,11 @@ def warn_of_axes(known: VisualMap, radius: float = 1.0) -> None:
             try:
                 check_axes(earlier, drive, alike, alike.indices[:, 0], radius)
             except WrongAxesError as error:
-                said = (
+                logger.warning(
                     "drive %s of this map and the drives before it seem to be in different frames: %s. Bring all into "
+                    "one frame, give those of another building its name in the column building, or map one drive",
+                    *(name, error.finding),
                 )
-                said += "one frame, give those of another building its name in the column building, or map one drive"
-                logger.warning(said, name, error.finding)
         before = np.concatenate([before, rows])
 
 
