@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from augment.combinations import Variant, variants
 from augment.errors import AugmentError
@@ -147,26 +146,6 @@ def headings(frames: int, depth: int, seed: int, size: tuple[int, int], circular
         if any(effect.name == "rotate" for effect in variant.policy.effects):
             out[:, variant.number] = variant.parameters(seed, range(frames), size)["heading"].numpy()
     return out
-
-
-def replay(row: Row, picture: Tensor, circular: bool = True) -> Tensor:
-    """Make an image (1, 3, H, W) of the expanded data set again from its source (1, 3, H, W) and its row in the table.
-
-    Raises:
-        AugmentError: a row that was altered.
-
-    Example:
-        >>> values = {"0.brighten.on": True, "0.brighten.amount": 40, "heading": 0.0}
-        >>> row = {"variant": "7", "parameters": json.dumps(values)}
-        >>> replay(row, torch.full((1, 3, 32, 128), 100, dtype=torch.uint8)).unique()
-        tensor([140], dtype=torch.uint8)
-    """
-    try:
-        variant = variants(int(row["variant"]) + 1, circular)[-1]
-        parameters = {key: [value] for key, value in dict(json.loads(row["parameters"])).items()}
-    except (KeyError, TypeError, ValueError) as error:
-        raise AugmentError(f"{row} is not a row that augment.expand wrote ({error!r}): expand again") from error
-    return variant.policy.apply(picture, parameters)
 
 
 def read_table(path: str | Path) -> list[Row]:
