@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
 from typing import Literal
 
@@ -26,6 +27,22 @@ def say_once(text: str) -> None:
 def in_one_line(error: Exception) -> str:
     """Return an exception of a user's own code in one line: its type, and the start of what it says."""
     return ": ".join(filter(None, [type(error).__name__, " ".join(str(error).split())[:300]]))
+
+
+@contextmanager
+def explained(what: str, kind: type[SiamlocError] = ConfigError) -> Iterator[None]:
+    """Turn whatever the code of others raises into an error of siamloc that says what failed, and what the code says.
+
+    Args:
+        what: the beginning of the sentence, such as "the network cannot take these images".
+        kind: class of the error. Errors of siamloc stay as they are.
+    """
+    try:
+        yield
+    except SiamlocError:
+        raise
+    except Exception as error:
+        raise kind(f"{what}: {in_one_line(error)}") from error
 
 
 def leave_out(problems: Sequence[str], total: int, what: str, on_error: str) -> None:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from difflib import get_close_matches
 from types import FunctionType
@@ -17,7 +16,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from augment.torchvision_compat import ensure_torchvision
-from siamloc.errors import ConfigError, SiamlocError, hint, in_one_line
+from siamloc.errors import ConfigError, explained, hint, in_one_line
 from siamloc.models.branch import IMAGENET_MEAN, IMAGENET_STD, Branch, channels_of
 from siamloc.models.circular import circular as around
 from siamloc.models.hub import timm
@@ -52,7 +51,8 @@ class Backbone(Branch):
             raise ConfigError(f"the first layer of {name} has three channels: leave normalize={normalize} out")
         self.normalize_with(*_card(name, network))
         network.eval()
-        with _explained(f"{name} fails with images", image_size), torch.no_grad():
+        size = f"{image_size[0]} x {image_size[1]} pixels"
+        with explained(f"{name} fails with images of {size}, in its own words"), torch.no_grad():
             example = torch.zeros(1, 3, *image_size)
             features = _features(network, example)
             self.features = features if isinstance(features, nn.Sequential) else nn.Sequential(features)
@@ -139,7 +139,8 @@ def make_backbone(
         name, network = type(source).__qualname__, source
     else:
         name = source
-        with torch.random.fork_rng(devices=[]), _explained(f"{name} cannot be made for images", image_size):
+        failed = f"{name} cannot be made for images of {image_size[0]} x {image_size[1]} pixels, in its own words"
+        with torch.random.fork_rng(devices=[]), explained(failed):
             torch.manual_seed(seed)
             network = _made(name, image_size, state)
     if state is not None and not name.startswith("timm/"):
@@ -334,16 +335,3 @@ def _check_patches(example: Tensor, rows: int, columns: int) -> None:
             f"images of {height} x {width} pixels do not divide into the network's patches of {rows} x {columns}: take "
             f"data.image_size=[{size[0]},{size[1]}] (from Python image_size=({size[0]}, {size[1]}))"
         )
-
-
-@contextmanager
-def _explained(failed: str, image_size: tuple[int, int]) -> Iterator[None]:
-    """Turn whatever a network of others raises into one sentence, which begins with what failed."""
-    try:
-        yield
-    except SiamlocError:
-        raise
-    except Exception as error:
-        raise ConfigError(
-            f"{failed} of {image_size[0]} x {image_size[1]} pixels, in its own words: {in_one_line(error)}"
-        ) from error

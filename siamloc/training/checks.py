@@ -15,7 +15,7 @@ from siamloc.data.checks import wrong_headings
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSettings
-from siamloc.errors import ConfigError, DataError, SiamlocError, in_one_line, leave_out
+from siamloc.errors import ConfigError, DataError, explained, leave_out
 from siamloc.models.cross_entropy import CrossEntropyLoss
 from siamloc.models.describing import NetworkDescriptor, comparing, learned
 from siamloc.models.module import name_of
@@ -206,13 +206,8 @@ def check_network(network: nn.Module, image: NDArray[np.uint8], circular: bool, 
             "where it is true), use the recipe photographs or rooms for images of an ordinary camera, or set "
             "data.circular=true for panoramas"
         )
-    try:
+    with explained(f"the network cannot take panoramas of {' x '.join(map(str, image.shape[1:]))}", DataError):
         descriptor = NetworkDescriptor(network).describe(image).position
-    except SiamlocError:
-        raise
-    except Exception as error:  # a custom module may raise anything
-        shape = " x ".join(map(str, image.shape[1:]))
-        raise DataError(f"the network cannot take panoramas of {shape}: {in_one_line(error)}") from error
     descriptor = learned(network, descriptor)
     length = float((descriptor.astype("float64") ** 2).sum() ** 0.5)
     if unit and abs(length - 1) > _UNIT_ROUNDING:

@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 
 from foundation.extras import installing
 from foundation.files import write_picture
-from siamloc.errors import ConfigError, hint, in_one_line
+from siamloc.errors import ConfigError, explained, hint
 from siamloc.lightning import CSVLogger, Logger, MLFlowLogger, TensorBoardLogger, WandbLogger
 from siamloc.runs import Run
 
 LOGGERS = ("tensorboard", "csv", "wandb", "mlflow")
 """Names of the loggers, and of their folders in a run."""
+_FAILED = "a logger of the trainer cannot start"
 
 
 def check_loggers(chosen: Any) -> list[str | Logger]:
@@ -66,15 +67,7 @@ def loggers_of(run: Run, chosen: Any) -> list[Logger]:
     return [one if isinstance(one, Logger) else _made(one, run.folder) for one in check_loggers(chosen)]
 
 
-@contextmanager
-def _starting() -> Iterator[None]:
-    try:
-        yield
-    except Exception as error:  # whatever the packages of loggers raise
-        raise ConfigError(f"a logger of the trainer cannot start: {in_one_line(error)}") from error
-
-
-@_starting()
+@explained(_FAILED)
 def begin_records(loggers: list[Logger]) -> None:
     """Begin the records of a training at Weights & Biases and MLflow, whose servers may refuse it.
 
@@ -98,7 +91,7 @@ def beginning(run: Run) -> Iterator[None]:
         raise
 
 
-@_starting()
+@explained(_FAILED)
 def _made(name: str, folder: Path) -> Logger:
     if name == "tensorboard":
         return TensorBoardLogger(folder, name="tensorboard", version="", default_hp_metric=False)
