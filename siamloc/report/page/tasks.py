@@ -1,4 +1,7 @@
-"""The sections of a report page about what a task measured: its tables, its picture, and what they mean."""
+"""The sections of a report page about what a task measured: its tables, its picture, and what they mean.
+
+Each is for evaluations that have the measure.
+"""
 
 from __future__ import annotations
 
@@ -22,18 +25,15 @@ _ESTIMATES = {
 }
 
 
-def further_estimate(part: Part, name: str) -> Markup | None:
-    """Return the section on a further estimate of the queries, with its curve and how it is made; None without it.
+def further_estimate(part: Part, name: str) -> Markup:
+    """Return the section on a further estimate of the queries, with its curve and how it is made.
 
     Args:
         part: the evaluation that the section is about.
         name: a key of `siamloc.results.FURTHER`: "filtered", "interpolated", "refined" or "tracked".
     """
-    results = part.evaluation.results
-    if f"absolute_{name}" not in results["measures"]:
-        return None
     title, key = _ESTIMATES[name]
-    settings = (results.get("estimates") or {}).get(key) or {}
+    settings = (part.evaluation.results.get("estimates") or {}).get(key) or {}
     return section(
         title,
         tag("p.caption", _how_made(name, settings, part.evaluation.unit)),
@@ -42,10 +42,9 @@ def further_estimate(part: Part, name: str) -> Markup | None:
     )
 
 
-def expected_errors(part: Part) -> Markup | None:
-    """Return the section on how accurate expected errors are, with the calibration curve; None without them."""
-    if (found := part.evaluation.results["measures"].get("calibration")) is None:
-        return None
+def expected_errors(part: Part) -> Markup:
+    """Return the section on how accurate expected errors are, with the calibration curve."""
+    found = part.evaluation.results["measures"]["calibration"]
     sequences = ((part.evaluation.results.get("estimates") or {}).get("error_model") or {}).get("sequences", [])
     learned = f" The model was learned on {', '.join(sequences)}." if sequences else ""
     text = (
@@ -58,11 +57,10 @@ def expected_errors(part: Part) -> Markup | None:
     return section("Expected errors", figure, tag("p.caption", text), name="expected")
 
 
-def hierarchical(part: Part) -> Markup | None:
-    """Return the section on hierarchical localization: errors by lighting, and their plot; None for another task."""
+def hierarchical(part: Part) -> Markup:
+    """Return the section on hierarchical localization: errors by lighting, and their plot."""
     results = part.evaluation.results
-    if (found := results["measures"].get("hierarchical")) is None:
-        return None
+    found = results["measures"]["hierarchical"]
     layer, settings = results.get("layer") or {}, (results.get("config") or {}).get("task") or {}
     nodes = results["denominators"].get("nodes")
     what = f"{nodes} {layer['name']} nodes" if nodes and "name" in layer else "The nodes"
@@ -82,45 +80,39 @@ def hierarchical(part: Part) -> Markup | None:
     )
 
 
-def mapping(part: Part) -> Markup | None:
-    """Return the section on a compact map: its measures and its plan; None for another task."""
-    if not (grids := _grids(part, "mapping")):
-        return None
+def mapping(part: Part) -> Markup:
+    """Return the section on a compact map: its measures and its plan."""
+    grids = (tag("div", one) for one in _grids(part, "mapping"))
     figure = part.figure("nodes", "the nodes on the floor plan")
-    return section("Compact map", tag("div.beside", *(tag("div", one) for one in grids)), figure, name="mapping")
+    return section("Compact map", tag("div.beside", *grids), figure, name="mapping")
 
 
-def compact(part: Part) -> Markup | None:
-    """Return the section on compact maps: curves, and a table row for each map; None for another task."""
-    if not (grids := _grids(part, "compact")):
-        return None
+def compact(part: Part) -> Markup:
+    """Return the section on compact maps: curves, and a table row for each map."""
     text = (
         "A query is located at the node whose mean descriptor is most similar to its own or, with the frames kept, at "
         "the most similar frame inside that node. With plain sampling, one frame stands for each run of frames."
     )
     figure = part.figure("compact", "error against the number of nodes")
-    return section("Compact maps", tag("p.caption", text), figure, *grids, name="compact")
+    return section("Compact maps", tag("p.caption", text), figure, *_grids(part, "compact"), name="compact")
 
 
-def robustness(part: Part) -> Markup | None:
-    """Return the section on robustness: curves and a table for each disturbance; None for another task."""
-    if (found := part.evaluation.results["measures"].get("robustness")) is None:
-        return None
+def robustness(part: Part) -> Markup:
+    """Return the section on robustness: curves and a table for each disturbance."""
+    tables = robustness_tables(part.evaluation.results["measures"]["robustness"])
     text = (
         "Queries with disturbed images, in a map of undisturbed frames. Solid lines are mean errors, dashed ones "
         "medians; for headings, solid lines refer to the retrieved frame, dashed ones to the geometrically nearest map "
         "frame."
     )
     figure = part.figure("robustness", "errors of disturbed queries")
-    blocks = (tag("div", tag("h4", table.title), grid(table)) for table in robustness_tables(found))
+    blocks = (tag("div", tag("h4", table.title), grid(table)) for table in tables)
     return section("Robustness", tag("p.caption", text), figure, tag("div.disturbances", *blocks), name="robustness")
 
 
-def confusion(part: Part) -> Markup | None:
-    """Return the section with the confusion matrices of rooms, overall and by lighting; None without rooms."""
-    if (rooms := part.evaluation.rooms) is None:
-        return None
-    counts = rooms["confusion"]["counts"]
+def confusion(part: Part) -> Markup:
+    """Return the section with the confusion matrices of rooms, overall and by lighting."""
+    counts = part.evaluation.results["measures"]["room_retrieval"]["confusion"]["counts"]
     right, total = int(np.trace(counts)), int(np.sum(counts))
     text = (
         f"{count(right)} of {count(total)} queries ({percent(right / total if total else None)}) in the right room. "
@@ -129,19 +121,16 @@ def confusion(part: Part) -> Markup | None:
     return section("Confusion of rooms", _matrices(part, "rooms"), tag("p.caption", text), name="rooms")
 
 
-def buildings(part: Part) -> Markup | None:
-    """Return the section on how often the right building was chosen; None if there was no choice."""
-    if not (grids := _grids(part, "buildings")):
-        return None
+def buildings(part: Part) -> Markup:
+    """Return the section on how often the right building was chosen."""
     text = "A query is assigned to the building whose map holds the most similar image."
-    matrices = _matrices(part, "buildings")
+    grids, matrices = _grids(part, "buildings"), _matrices(part, "buildings")
     return section("Choosing the building", *grids, tag("p.caption", text), matrices, name="buildings")
 
 
-def pairs(part: Part) -> Markup | None:
-    """Return the section on how well pairs from one room and from two are told apart; None without judged pairs."""
-    if (found := part.evaluation.results["measures"].get("room_pairs")) is None:
-        return None
+def pairs(part: Part) -> Markup:
+    """Return the section on how well pairs from one room and from two are told apart."""
+    found = part.evaluation.results["measures"]["room_pairs"]
     text = (
         f"The dissimilarity of a pair is its distance divided by {found['margin']:g}, limited to 1; a pair below "
         f"{found['threshold']:g} (vertical lines) counts as one room. The AUC needs no threshold: if a pair of one "

@@ -22,22 +22,22 @@ from siamloc.report.page.parts import Part, parts_of, read_pictures
 from siamloc.results import FURTHER
 
 _MOST_RUNS = 4  # named in the title; of more, the folders that were given
-_SECTIONS: dict[str, Callable[[Part], Markup | None]] = {
-    "summary": sections.summary,
-    "nodes": tasks.hierarchical,
-    "compact map": tasks.mapping,
-    "compact maps": tasks.compact,
-    "buildings": tasks.buildings,
-    "floor plan": sections.floor_plan,
-    "cumulative errors": sections.cumulative,
-    **{sign: partial(tasks.further_estimate, name=name) for name, sign in FURTHER.items()},
-    "expected errors": tasks.expected_errors,
-    "worst queries": sections.worst,
-    "rooms": tasks.confusion,
-    "pairs": tasks.pairs,
-    "robustness": tasks.robustness,
+_SECTIONS: dict[str, tuple[str | None, Callable[[Part], Markup | None]]] = {
+    "summary": (None, sections.summary),
+    "nodes": ("hierarchical", tasks.hierarchical),
+    "compact map": ("mapping", tasks.mapping),
+    "compact maps": ("compact", tasks.compact),
+    "buildings": ("buildings", tasks.buildings),
+    "floor plan": (None, sections.floor_plan),
+    "cumulative errors": (None, sections.cumulative),
+    **{sign: (f"absolute_{name}", partial(tasks.further_estimate, name=name)) for name, sign in FURTHER.items()},
+    "expected errors": ("calibration", tasks.expected_errors),
+    "worst queries": (None, sections.worst),
+    "rooms": ("room_retrieval", tasks.confusion),
+    "pairs": ("room_pairs", tasks.pairs),
+    "robustness": ("robustness", tasks.robustness),
 }
-"""The sections of an evaluation in their order, each with the function that makes it if there are numbers for it."""
+"""The sections of an evaluation in their order, each with the measure that it needs, if any, and its function."""
 
 
 @typed
@@ -126,7 +126,9 @@ def _evaluation(part: Part, alone: bool) -> Markup:
         protocol = f"protocol {evaluation.results['protocol']}" if "protocol" in evaluation.results else ""
         facts = " · ".join(filter(None, [_date(evaluation), protocol])).replace("_", " ")
         head = join(tag("h2", part.title), tag("p.meta", facts), _figures(part))
-    made = {name: shown for name, draw in _SECTIONS.items() if (shown := draw(part)) is not None}
+    measures = {None, *evaluation.results["measures"]}
+    drawn = {name: draw(part) for name, (measure, draw) in _SECTIONS.items() if measure in measures}
+    made = {name: shown for name, shown in drawn.items() if shown is not None}
     places = {name: f"{part.anchor}-{name.replace(' ', '-')}" for name in made}
     links = [tag("a", name, href=f"#{place}") for name, place in places.items()]
     return tag(
