@@ -60,7 +60,7 @@ from siamloc.training.run_folder import (
     stopped,
 )
 from siamloc.training.settings import Training
-from siamloc.training.stopping import StepCheckpoints, first_interrupt_asks, interrupts_raised, sigterm_ends_the_start
+from siamloc.training.stopping import StepCheckpoints, interrupts_raised, stopped_by_signals
 from siamloc.training.trainer import computing, on_gpu, quiet, recorded, run_trainer
 from siamloc.training.worst_queries import WorstQueries
 
@@ -360,17 +360,9 @@ def _train(trainer: Trainer, module: NetworkModule, data: EpochDataModule, run: 
     try:
         steps = next(one for one in trainer.checkpoint_callbacks if isinstance(one, StepCheckpoints))
         # With several processes, one could stop a step before the others, which would then wait for it.
-        single = trainer.world_size == 1
-        asking = first_interrupt_asks(steps) if single else nullcontext()
-        starting = sigterm_ends_the_start(steps) if single else nullcontext()
+        stops = stopped_by_signals(steps) if trainer.world_size == 1 else nullcontext()
         device = trainer.strategy.root_device
-        with (
-            kept_memory(),
-            interrupts_raised(),
-            torch.random.fork_rng([device] * (device.type == "cuda")),
-            asking,
-            starting,
-        ):
+        with kept_memory(), interrupts_raised(), torch.random.fork_rng([device] * (device.type == "cuda")), stops:
             trainer.fit(module, datamodule=data, ckpt_path=start, weights_only=True)
         if steps.asked:  # in the last epoch, when nothing was left to stop
             raise KeyboardInterrupt(f"the training finished before it could be stopped: {run.folder}")

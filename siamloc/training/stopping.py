@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -163,8 +163,12 @@ class Limits(Callback):
             raise StopIteration
 
 
-def first_interrupt_asks(checkpoints: StepCheckpoints) -> AbstractContextManager[Any]:
-    """Stop the training after its step, with a checkpoint, at the first Ctrl-C, and at once at the second."""
+@contextmanager
+def stopped_by_signals(checkpoints: StepCheckpoints) -> Iterator[None]:
+    """Stop the training after its step, with a checkpoint, at the first Ctrl-C, and at once at the second.
+
+    A SIGTERM before the first step, which Lightning would wait for, stops it at once as well.
+    """
     before, owner = signal.getsignal(signal.SIGINT), os.getpid()
 
     def ask(*_: object) -> None:
@@ -175,18 +179,13 @@ def first_interrupt_asks(checkpoints: StepCheckpoints) -> AbstractContextManager
         with suppress(RuntimeError):  # the signal arrived during printing
             print("stopping at the next checkpoint; Ctrl-C again stops at once", file=sys.stderr, flush=True)
 
-    return handled(signal.SIGINT, ask, signal.default_int_handler, stop_once)
-
-
-def sigterm_ends_the_start(checkpoints: StepCheckpoints) -> AbstractContextManager[Any]:
-    """Stop the training at once at a SIGTERM before its first step, which Lightning would wait for."""
-    owner = os.getpid()
-
     def end(*_: object) -> None:
         if not checkpoints.begun and os.getpid() == owner:
             raise KeyboardInterrupt
 
-    return handled(signal.SIGTERM, end, signal.SIG_DFL)  # Lightning calls it after its own
+    asking = handled(signal.SIGINT, ask, signal.default_int_handler, stop_once)
+    with asking, handled(signal.SIGTERM, end, signal.SIG_DFL):  # Lightning calls `end` after its own
+        yield
 
 
 @contextmanager
