@@ -87,8 +87,6 @@ def spread(uniform: Tensor, ranges: Mapping[str, Range]) -> dict[str, Tensor]:
     Returns:
         Values by name (B,): float32, or int64 for ranges of whole numbers.
     """
-    if not ranges:
-        return {}
     low, step, log, whole, has_log = _tables(tuple(ranges.values()))
     values = low + uniform * step
     if has_log:

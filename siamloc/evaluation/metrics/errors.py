@@ -43,8 +43,6 @@ def error_floor(
         DataError: an empty map, other shapes, a position that is not finite, or no map frame that counts for a query.
     """
     known, queries = map_positions(map_xy), positions_of(query_xy, "query")
-    if not len(queries):
-        return np.empty(0)
     if excluded is not None:
         if np.shape(excluded) != (len(queries), len(known)) or np.all(excluded, axis=1).any():
             raise DataError(

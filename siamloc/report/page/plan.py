@@ -153,9 +153,7 @@ def make_plan(evaluation: Evaluation, most: int, occupancy: OccupancyMap | None 
 
 def spread(n: int) -> NDArray[np.int64]:
     """Return 0 ... n-1 in an order whose every beginning is evenly spread over all n."""
-    if n == 0:
-        return np.empty(0, dtype=np.int64)
-    bits = max(1, int(n - 1).bit_length())
+    bits = int(n - 1).bit_length()
     order = np.zeros(1, dtype=np.int64)
     for bit in range(bits):
         order = np.concatenate([order, order + (1 << (bits - 1 - bit))])
