@@ -82,21 +82,19 @@ def summary(part: Part) -> Markup | None:
     methods = evaluation.methods
     by_lighting, by_room = (map(grid, [*errors(methods, by), *rooms(methods, by)]) for by in ("lighting", "room"))
     several = len((evaluation.absolute or evaluation.rooms or {}).get("room", {})) > 1
-    notes = [
+    notes = []
+    if evaluation.absolute and evaluation.truth == "surveyed":
+        notes.append("Errors are distances to surveyed positions, which are not exact: errors in the surveyed map.")
+    if evaluation.absolute:
+        notes.append(
+            "The floor is the distance to the nearest map frame, which no retrieval can beat; the excess is the rest. "
+            "Bars show both, grey and orange, as parts of the mean."
+            + (" The smallest mean of each lighting is bold." if len(methods) > 1 else "")
+        )
+    notes += [
         reason if name in REMARKS else f"{name.replace('_', ' ')} left out: {reason}"
         for name, reason in (evaluation.results.get("skipped") or {}).items()
     ]
-    if evaluation.absolute:
-        notes.insert(
-            0,
-            "The floor is the distance to the nearest map frame, which no retrieval can beat; the excess is the rest. "
-            "Bars show both, grey and orange, as parts of the mean."
-            + (" The smallest mean of each lighting is bold." if len(methods) > 1 else ""),
-        )
-        if evaluation.truth == "surveyed":
-            notes.insert(
-                0, "Errors are distances to surveyed positions, which are not exact: errors in the surveyed map."
-            )
     return section(
         "Summary",
         *by_lighting,
