@@ -291,13 +291,9 @@ class AlignedDescriptor(ImageDescriptor):
 
     The position part of a description holds the values of the orientation part in a different order; every distance
     of `analytic.DISTANCES` compares whole vectors, so the order does not matter.
-
-    Attributes:
-        whole: whether values are whole numbers; correlations are then rounded to whole numbers, so that ties are exact.
     """
 
     aligned: ClassVar[bool] = True
-    whole: ClassVar[bool] = False
 
     def pairwise(self, queries: Description, references: Description, distance: str | None = None) -> Floats:
         """Return the distances (n, m) at the best turn of each pair; with `circular=False`, without any turn.
@@ -316,9 +312,6 @@ class AlignedDescriptor(ImageDescriptor):
         self.check(queries, references)
         turns = self._best_turns(queries, references, self._steps(queries))
         return self._compared(queries, references, turns, distance or self.default_distance)
-
-    def _best_turns(self, queries: Description, references: Description, steps: int) -> Turns:
-        return best_turns(queries.spectrum, references.spectrum, steps, whole=self.whole)
 
     def _compared(self, queries: Description, references: Description, turns: Turns, name: str) -> Floats:
         """Return the named distance (n, m) of each pair at its turn; override it to compare differently."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.alignment import Turns
+from analytic.alignment import Turns, best_turns
 from analytic.description import Description
 from analytic.descriptors.base import AlignedDescriptor, Cells, Several
 
@@ -52,7 +52,6 @@ class BriefGist(AlignedDescriptor):
 
     name = "briefgist"
     default_distance = "manhattan"
-    whole = True
     divides = (("rows", "height"), ("columns", "width"))
 
     rows: Cells = 64
@@ -70,6 +69,10 @@ class BriefGist(AlignedDescriptor):
         if not self.circular:
             bits[:, 0] = 0
         return bits.reshape(-1), bits.T
+
+    def _best_turns(self, queries: Description, references: Description, steps: int) -> Turns:
+        # Correlations of bits are whole numbers: once rounded, ties are exact.
+        return best_turns(queries.spectrum, references.spectrum, steps, whole=True)
 
     def _compared(self, queries: Description, references: Description, turns: Turns, name: str) -> NDArray[np.float64]:
         if name != "manhattan":
