@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +17,7 @@ from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.report.page.surveyed import Surveyed, read_survey
 from siamloc.results import FINEST, Columns, read_results, read_rows, truth
 from siamloc.runs import Run, run_with, runs_in
-from siamloc.summaries import methods_of, own_tables
-from siamloc.tables import Table
+from siamloc.summaries import methods_of
 
 _KINDS = ("localization", "room retrieval", "hierarchical", "robustness", "mapping", "compact", "buildings")
 _TABLES = ("queries", "map", "rooms", "frames", "nodes")
@@ -55,11 +53,6 @@ class Evaluation:
         return self.tables.get("queries") if self.absolute is not None and "map" in self.tables else None
 
     @property
-    def known(self) -> Columns | None:
-        """Columns of `map.csv`; None if there is none."""
-        return self.tables.get("map")
-
-    @property
     def positions(self) -> NDArray[np.float64] | None:
         """Positions of the frames of the map (n, 2); None if they are in no table."""
         table = self.tables.get("map", self.tables.get("frames"))
@@ -84,11 +77,6 @@ class Evaluation:
         """The measures by name: of the descriptor, of its further estimates and of its baselines."""
         return dict(methods_of(self.name, self.results["measures"], self.results.get("baselines", {})))
 
-    @cached_property
-    def own_tables(self) -> dict[str, list[Table]]:
-        """The tables of measures that baselines do not have, by kind, such as "mapping"."""
-        return own_tables(self.name, self.results["measures"])
-
     @property
     def absolute(self) -> dict[str, Any] | None:
         """The measures of localization, in the whole map or hierarchical, if any."""
@@ -106,11 +94,6 @@ class Evaluation:
     def measured(self) -> bool:
         """Whether queries were localized or their rooms retrieved."""
         return self.absolute is not None or self.rooms is not None
-
-    @property
-    def located(self) -> int:
-        """Number of queries that were located although their true pose is unknown."""
-        return int(self.results.get("tables", {}).get("located", {}).get("rows", 0))
 
     @property
     def rooms(self) -> dict[str, Any] | None:

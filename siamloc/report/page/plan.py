@@ -135,7 +135,7 @@ def make_plan(evaluation: Evaluation, most: int, occupancy: OccupancyMap | None 
 
     If there are more, it keeps those with the largest errors, and others evenly spread over the table.
     """
-    queries, known = evaluation.queries, evaluation.known
+    queries, known = evaluation.queries, evaluation.tables.get("map")
     if queries is None or known is None or not len(queries["error"]) or not len(known["x"]):
         return None
     queries, estimate = finest(queries)

@@ -64,9 +64,10 @@ def unscored(evaluation: Evaluation) -> Markup | None:
     Returns:
         None if every located query has a true pose.
     """
-    if not evaluation.located:
+    located = int(evaluation.results.get("tables", {}).get("located", {}).get("rows", 0))
+    if not located:
         return None
-    many = plural(evaluation.located, "query", "queries")
+    many = plural(located, "query", "queries")
     if evaluation.absolute is not None:
         return tag("p.note", f"The true position of {many} is unknown: located.csv holds the estimates.")
     none = "no error is known" if evaluation.rooms is not None else "none is scored"

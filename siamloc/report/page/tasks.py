@@ -12,6 +12,7 @@ import numpy as np
 
 from siamloc.report.page.markup import Markup, grid, plural, section, tag
 from siamloc.report.page.parts import Part
+from siamloc.summaries import own_tables
 from siamloc.summaries import pairs as pairs_table
 from siamloc.summaries import robustness as robustness_tables
 from siamloc.tables import count, percent
@@ -142,7 +143,8 @@ def pairs(part: Part) -> Markup:
 
 
 def _grids(part: Part, kind: str) -> list[Markup]:
-    return [grid(table) for table in part.evaluation.own_tables.get(kind, [])]
+    evaluation = part.evaluation
+    return [grid(table) for table in own_tables(evaluation.name, evaluation.results["measures"])[kind]]
 
 
 def _how_made(name: str, found: Mapping[str, Any], unit: str) -> str:
