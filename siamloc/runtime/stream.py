@@ -18,16 +18,17 @@ from numpy.typing import NDArray
 from foundation.calls import typed
 from foundation.files import atomic_path, csv_text, expanded, plain
 from foundation.words import as_words
+from siamloc.data.checks import wrong_odometry
 from siamloc.data.films import Film, quiet
-from siamloc.data.frames import BAGS, VIDEOS
+from siamloc.data.frames import BAGS, VIDEOS, FrameTable
 from siamloc.data.image_files import UnreadableImageError, image_files
+from siamloc.data.manifest import read_rows
 from siamloc.data.moves import moves
 from siamloc.data.names import NamedPose, parse_name
 from siamloc.errors import ConfigError, DataError, Policy
 from siamloc.maps.motion import WrongUnitError
 from siamloc.runtime.localizer import Localizer
 from siamloc.runtime.location import Location
-from siamloc.runtime.wheels import UNKNOWN, read_odometry
 
 CAMERA = "camera:"
 COLUMNS = (
@@ -35,6 +36,8 @@ COLUMNS = (
     *("agreement", "match", "distance", "ms", "off_by"),
 )
 """Columns of a table of locations."""
+_UNKNOWN: NDArray[np.float64] = np.full(5, np.nan)
+_UNKNOWN.flags.writeable = False
 
 
 @dataclass(frozen=True)
@@ -128,12 +131,12 @@ def locate_all(
             f"{odometry} names none of the images, such as {names[0]}: paths are relative to its folder, and the first "
             "image of drive.mp4 is drive.mp4#0"
         )
-    tracker, drive, last = None, "", UNKNOWN
+    tracker, drive, last = None, "", _UNKNOWN
     for name, image, pose in pictures(images, on_error):
         before, drive = drive, str(image.parent) if isinstance(image, Path) else name.rpartition("#")[0]
         if track and drive != before:
-            tracker, last = localizer.tracker(), UNKNOWN
-        here = wheels.get(abspath(name), UNKNOWN)  # noqa: PTH100
+            tracker, last = localizer.tracker(), _UNKNOWN
+        here = wheels.get(abspath(name), _UNKNOWN)  # noqa: PTH100
         motion = moves([last[:3], here[:3]])[1] if wheels else None
         try:
             if isinstance(image, UnreadableImageError):
@@ -145,6 +148,30 @@ def locate_all(
             if on_error == "raise" or isinstance(error, WrongUnitError):
                 raise
             yield Located(name, None, str(error), pose)
+
+
+def read_odometry(table: str | Path) -> dict[str, NDArray[np.float64]]:
+    """Read the poses that a robot computed from its wheels, and its tilt (5,), by the path of the image.
+
+    They are x, y and heading in rad, and roll and pitch in rad; NaN if unknown.
+
+    Args:
+        table: a manifest, or any CSV table with the columns `image`, `odom_x`, `odom_y` and `odom_theta`, and perhaps
+            `roll` and `pitch`; paths are relative to its folder. Without a column `sequence`, each folder of images is
+            a drive.
+
+    Raises:
+        DataError: the table cannot be read, has no odometry, or has it in degrees.
+    """
+    file = expanded(table)
+    rows = [{"sequence": str(Path(row["path"]).parent), **row} for row in read_rows(file)]
+    frames = FrameTable.from_rows(rows)
+    if not np.isfinite(frames.odometry).all(axis=1).any():
+        raise DataError(f"{file} has no row with all of odom_x, odom_y and odom_theta: a robot is tracked by them")
+    for finding in wrong_odometry(frames):
+        raise DataError(f"{file}: {finding}")
+    held = np.column_stack([frames.odometry, frames.tilt])
+    return {abspath(path): row for path, row in zip(frames.path.tolist(), held, strict=True)}  # noqa: PTH100
 
 
 def pictures(

@@ -22,7 +22,7 @@ from siamloc.cli import main
 from siamloc.cli.compose import composed
 from siamloc.data.cold import read_cold
 from siamloc.errors import ConfigError, DataError
-from siamloc.runtime.wheels import read_odometry
+from siamloc.runtime.stream import read_odometry
 from siamloc.simulate import Run, Summary, load_building, produce, simulate
 from siamloc.simulate.buildings import building_folder
 from siamloc.simulate.camera import Exposure
