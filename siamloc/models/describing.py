@@ -14,7 +14,6 @@ from torch import Tensor, nn
 from analytic.descriptors.base import Description, Descriptor
 from analytic.descriptors.between_columns import BetweenColumns
 from foundation.calls import typed
-from siamloc.device import chosen_device
 from siamloc.errors import ConfigError, DataError
 from siamloc.full_precision import full_precision
 from siamloc.models.branch import Branch
@@ -190,6 +189,26 @@ def as_descriptor(network: nn.Module | Descriptor, device: str | torch.device | 
     if device is None or (device == "auto" and _like(network).device.type != "cpu"):
         return NetworkDescriptor(network)
     return NetworkDescriptor(network.to(chosen_device(device)))
+
+
+def chosen_device(device: str | torch.device) -> str:
+    """Return the name of a torch device, after checking that torch can compute there.
+
+    Args:
+        device: name such as "cpu", "cuda" or "cuda:1"; "auto" is the GPU if torch finds one, else the CPU.
+
+    Raises:
+        ConfigError: another name, or a device that this machine does not have.
+    """
+    gpus = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    if device == "auto":
+        return "cuda" if gpus else "cpu"
+    try:
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError) as error:
+        here = ", ".join(["auto", "cpu", *(f"cuda:{number}" for number in range(gpus))])
+        raise ConfigError(f"torch cannot compute on device={str(device)!r} here: use one of {here}") from error
+    return str(device)
 
 
 def identity_of(network: nn.Module) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from torch import nn
 from analytic import Description, Descriptor, descriptor
 from siamloc.errors import ConfigError, DataError
 from siamloc.models import as_descriptor, build
+from siamloc.models.describing import chosen_device
 
 SIZE = (32, 64)
 
@@ -179,3 +180,16 @@ def test_the_rounding_of_other_kernels_is_no_dependence_on_the_batch():
             return super().forward(panorama) * (1 + 0.01 * (len(panorama) > 1))
 
     assert as_descriptor(Rounded(), "cpu").describe(draw()).position.shape == (8, 2)
+
+
+@pytest.mark.parametrize("gpus", [0, 2])
+def test_auto_is_the_gpu_if_there_is_one(monkeypatch, gpus):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: gpus > 0)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: gpus)
+    assert chosen_device("auto") == ("cuda" if gpus else "cpu")
+    assert chosen_device("cpu") == chosen_device(torch.device("cpu")) == "cpu"
+    here = "auto, cpu, cuda:0, cuda:1" if gpus else "auto, cpu"
+    for name in ("cuda:7", "gpu", "xpu", ""):
+        message = f"^torch cannot compute on device='{name}' here: use one of {here}$"
+        with pytest.raises(ConfigError, match=message):
+            chosen_device(name)
