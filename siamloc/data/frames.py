@@ -208,6 +208,11 @@ class FrameTable:
         paths = [abspath(path) for path in self.path.tolist()]  # noqa: PTH100 (tens of thousands of paths)
         return list(zip(self.sequence.tolist(), paths, strict=True))
 
+    def rows_in(self, other: FrameTable) -> NDArray[np.int64]:
+        """Return the row of each frame (n,) in another table, by `identities`; -1 for a frame that the other lacks."""
+        rows = {key: row for row, key in enumerate(other.identities())}
+        return np.array([rows.get(key, -1) for key in self.identities()], dtype=np.int64)
+
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the columns (n,) by name."""
         return {name: getattr(self, name) for name in COLUMNS}

@@ -82,8 +82,7 @@ class Role(Settings):
         if self.spacing is not None:
             kept = frames.spaced(self.spacing)
         if self.rest:
-            taken = set(kept.identities())
-            return frames.take([row for row, key in enumerate(frames.identities()) if key not in taken])
+            return frames.take(frames.rows_in(kept) < 0)
         return kept
 
 
@@ -301,12 +300,11 @@ def _in_order(queries: FrameTable, known: FrameTable) -> FrameTable:
     Raises:
         DataError: the order is unknown, since some frames have no time.
     """
-    query_keys, known_keys = queries.identities(), set(known.identities())
-    if known_keys <= set(query_keys):
+    if (known.rows_in(queries) >= 0).all():
         return in_capture_order(queries)
-    new = [row for row, key in enumerate(query_keys) if key not in known_keys]
+    new = queries.rows_in(known) < 0
     both = concatenate([known, queries.take(new)])
-    if new and np.isnan(both.time).any():
+    if new.any() and np.isnan(both.time).any():
         raise DataError(
             "protocol.apart_metres needs the order in which the frames were taken: give times, or the whole drives"
         )

@@ -200,7 +200,7 @@ def update(
             f"an update takes the frames of one drive, and these are of {len(drives)}: call it for each in turn, with "
             "the map of the update before"
         )
-    keys, held = drive.identities(), set(known.frames.identities())
+    keys = drive.identities()
     if len(set(keys)) < len(keys):
         twice, _ = Counter(keys).most_common(1)[0]
         raise DataError(
@@ -229,7 +229,7 @@ def update(
             raise DataError(f"a deviation is 0 or more, or NaN where it is unknown, got {np.nanmin(spread):g}")
         sure = sure & (spread <= settings.certain)
         drive = drive.with_columns(deviation=spread)
-    new = np.array([key not in held for key in keys], dtype=bool)
+    new = drive.rows_in(known.frames) < 0
     if not new.any():
         raise DataError(f"all {len(drive)} frames of the drive are in the map already: update it by another drive")
     if not (sure & new).any():
@@ -246,8 +246,7 @@ def update(
         )
     used = sure & new
     part = describe(drive.take(used)) if seen is None else seen.take(used)
-    kept = set(part.frames.identities())
-    readable = np.array([key in kept for key in keys]) | ~used
+    readable = (drive.rows_in(part.frames) >= 0) | ~used
     reason = np.full(len(drive), Reason.UNSURE, dtype=object)
     reason[sure] = Reason.HELD
     blank = np.concatenate([shows_nothing(panoramas) for panoramas in images.batches(part.frames)])

@@ -146,12 +146,10 @@ def anchored(
     Raises:
         DataError: anchors of a drive that are in another unit than its way, in degrees, or mirrored.
     """
-    rows = {key: row for row, key in enumerate(frames.identities())}
-    there = [] if anchors is None else [row for row, key in enumerate(anchors.identities()) if key in rows]
-    if anchors is None or not there:
+    if anchors is None:
         return np.empty(0, np.int64), start
-    held = anchors.take(there)
-    fixed = np.array([rows[key] for key in held.identities()], dtype=np.int64)
+    fixed = anchors.rows_in(frames)
+    held, fixed = anchors.take(fixed >= 0), fixed[fixed >= 0]
     true = np.column_stack([held.xy, held.theta])
     start = start.copy()
     for number in np.unique(drive[fixed]):

@@ -233,8 +233,7 @@ def survey(
     rolled = frames.with_columns(x=frames.odom_x, y=frames.odom_y, theta=frames.odom_theta)
     known = build(described, images, rolled, progress=progress)  # odometry tells the camera's mounting
     if len(known) < len(frames):  # images that cannot be read
-        kept = set(known.frames.identities())
-        left = [key in kept for key in frames.identities()]
+        left = frames.rows_in(known.frames) >= 0
         frames, order = frames.take(left), order[left]
         check_lengths(frames)
     if pairs is not None:

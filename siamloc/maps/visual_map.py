@@ -446,8 +446,7 @@ class VisualMap:
         Raises:
             ConfigError: a frame is missing, or has another position or room than in the map.
         """
-        rows = {key: row for row, key in enumerate(frames.identities())}
-        row = np.array([rows.get(key, -1) for key in self.frames.identities()])
+        row = self.frames.rows_in(frames)
         missing = self.frames.path[(row < 0) & ~self.history.joined]
         if whole and len(missing):
             raise ConfigError(

@@ -50,8 +50,7 @@ def save_thumbnails(path: str | Path, images: PanoramaLibrary, frames: FrameTabl
         DataError: a frame is not among the images.
         StorageError: the disk is full or cannot be written to.
     """
-    readable = set(images.readable(frames).identities())
-    rows = [row for row, key in enumerate(frames.identities()) if key in readable]
+    rows = np.flatnonzero(frames.rows_in(images.readable(frames)) >= 0).tolist()
     pictures: list[bytes | None] = [None] * len(frames)
     panoramas = (panorama for batch in images.batches(frames.take(rows)) for panorama in batch)
     for row, panorama in zip(rows, panoramas, strict=True):
