@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -13,12 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic import AnalyticError, Description, Descriptor, Fused, ImageDescriptor
-from siamloc.errors import ConfigError, FormatError, hint
+from siamloc.errors import ConfigError, FormatError, hint, logger
 from siamloc.maps import VisualMap
 from siamloc.maps.heading import descriptor_of
 from siamloc.runtime.bundle import COARSE, MODEL, RELATIVE, Bundle
-
-logger = logging.getLogger("siamloc")
 
 CPU = "CPUExecutionProvider"
 PROVIDERS = ("CUDAExecutionProvider", "OpenVINOExecutionProvider", CPU)
