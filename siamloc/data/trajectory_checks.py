@@ -56,10 +56,10 @@ def other_unit(source: str, way: float, span: float) -> str | None:
 
 def other_frame(trajectory: Trajectory, axes: Axes = "robot") -> str | None:
     """Look for the axes of another frame, of whose direction ahead the robot makes upwards: it then rises or sinks."""
-    up, upright = _upwards(trajectory.quaternion, axes)
-    size = np.ptp(trajectory.position, axis=0)
+    upright = np.abs(mean_up(trajectory.quaternion, axes))
+    up, size = int(upright.argmax()), np.ptp(trajectory.position, axis=0)
     height, wide = float(size[up]), float(np.delete(size, up).max())
-    if abs(upright) < _ALIGNED or height < max(1.0, wide):
+    if upright[up] < _ALIGNED or height < max(1.0, wide):
         return None
     other = next(name for name in AXES if name != axes)
     return (
@@ -70,15 +70,9 @@ def other_frame(trajectory: Trajectory, axes: Axes = "robot") -> str | None:
 
 def _upright(quaternion: Array, axes: Axes) -> float:
     """Return how upright the frame is on average, from -1, on its head, to 1; y points down in a camera's world."""
-    vertical, mean = _upwards(quaternion, axes)
-    return mean * (-1 if axes == "camera" and vertical == 1 else 1)
-
-
-def _upwards(quaternion: Array, axes: Axes) -> tuple[int, float]:
-    """Return the axis of the world nearest to the frame's mean direction upwards, and its part along this axis."""
     mean = mean_up(quaternion, axes)
     vertical = int(np.abs(mean).argmax())
-    return vertical, float(mean[vertical])
+    return float(mean[vertical]) * (-1 if axes == "camera" and vertical == 1 else 1)
 
 
 def _forward(trajectory: Trajectory, quaternion: Array, axes: Axes) -> float:
