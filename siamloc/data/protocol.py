@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from foundation.settings import Count, Natural, Positive, Rule, Settings
 from foundation.words import as_words
 from siamloc.data.frames import FrameTable, concatenate, fitting, in_capture_order
+from siamloc.data.moves import way_along
 from siamloc.errors import ConfigError, DataError
 
 Way = Annotated[float, Rule("a number above 0 and up to 1,000,000", lambda value: 0 < value <= 1e6)]
@@ -285,13 +286,10 @@ def _travelled(
     """Return how far the robot had driven on its drive at each query (n,) and each map frame (m,); NaN if unknown."""
     drives = _in_order(queries, known) if drives is None else drives
     drives = drives.take(drives.has_position)
-    way: dict[tuple[str, str], float] = {}
+    way = np.full(len(drives) + 1, np.nan)  # the last is that of all frames that the drives lack, in row -1
     for rows in drives.rows_by("sequence").values():
-        own = drives.take(rows)
-        steps = np.linalg.norm(np.diff(own.xy, axis=0), axis=1)
-        way.update(zip(own.identities(), [0.0, *np.cumsum(steps).tolist()], strict=True))
-    found = [np.array([way.get(key, np.nan) for key in table.identities()]) for table in (queries, known)]
-    return found[0], found[1]
+        way[rows] = way_along(drives.xy[rows])
+    return way[queries.rows_in(drives)], way[known.rows_in(drives)]
 
 
 def _in_order(queries: FrameTable, known: FrameTable) -> FrameTable:

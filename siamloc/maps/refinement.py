@@ -12,7 +12,7 @@ from analytic import Description
 from foundation.calls import typed
 from foundation.settings import Count, NotNegative, Positive
 from siamloc.data.frames import FrameTable
-from siamloc.data.moves import wrapped
+from siamloc.data.moves import way_along, wrapped
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.checked_arrays import check_placed
 from siamloc.maps.comparing import Compares, compare_with
@@ -162,7 +162,7 @@ def interpolate_poses(
     check_placed(frames, "a path along which to interpolate")
     along = np.zeros(len(frames))  # the path of each drive, from its first frame
     for drive in frames.rows_by("sequence").values():
-        along[drive[1:]] = np.cumsum(np.hypot(np.diff(frames.x[drive]), np.diff(frames.y[drive])))
+        along[drive] = way_along(frames.xy[drive])
     near, apart = rows[:, :k], found.distances[:, :k]
     best = near[:, :1]
     inside = (np.abs(along[near] - along[best]) <= radius) & (frames.sequence[near] == frames.sequence[best])
