@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from foundation.settings import NotNegative, Positive, Rule, Settings
+from foundation.settings import NotNegative, Positive, Rule, Settings, Share
 from siamloc.data.central import Angle, CentralCamera, ImageSize, LensCamera, inverse, rises_to
 from siamloc.data.panorama import Array, PanoramaView, PolarRing
 from siamloc.data.presets import AutoRing, ColdRing
@@ -150,7 +150,7 @@ class UnifiedCamera(LensCamera):
         distortion: coefficients k1, k2, p1, p2 of radial and tangential distortion.
     """
 
-    xi: Annotated[float, Rule("a number from 0", lambda value: value >= 0)] = 1.0
+    xi: NotNegative = 1.0
     distortion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
     def to_plane(self, rays: Array) -> tuple[Array, Array]:
@@ -208,7 +208,7 @@ class DoubleSphereCamera(LensCamera):
     """
 
     xi: float = 0.0
-    alpha: Annotated[float, Rule("a number from 0 to 1", lambda value: 0 <= value <= 1)] = 0.5
+    alpha: Share = 0.5
 
     def to_plane(self, rays: Array) -> tuple[Array, Array]:
         """Return the points of the plane at which unit rays (..., 3) appear; NaN for those behind the model."""

@@ -206,16 +206,15 @@ def named(images: str | Path | Sequence[str | Path]) -> list[tuple[str, list[Pat
     return [(str(name), _files(name)) for name in names]
 
 
-def _files(name: str | Path) -> list[Path] | None:
-    path = Path(name)
-    if str(name).startswith(CAMERA):
+def _files(path: Path) -> list[Path] | None:
+    if str(path).startswith(CAMERA):
         return None
     if path.is_dir():
         if not (files := image_files(path)):
             raise DataError(f"{path} holds no images")
         return files
     if not path.is_file():
-        number = re.fullmatch(r"/dev/video(\d+)", str(name))
+        number = re.fullmatch(r"/dev/video(\d+)", str(path))
         there = f"the camera {path} is called {CAMERA}{number[1]} here" if number else f"there is no image {path}"
         raise DataError(there)
     if path.suffix.lower() in BAGS:
