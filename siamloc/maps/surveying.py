@@ -8,7 +8,7 @@ poses of all frames are those of a graph of all these measurements, see `siamloc
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
@@ -358,18 +358,9 @@ def concluded(
         theta=wrapped(theta),
         deviation=np.sqrt(variances[:, :2].mean(axis=1)),  # the root of the mean variance of x and y
         theta_deviation=np.sqrt(variances[:, 2]),
+        unit="m",
     )
-    return Survey(
-        replace(surveyed, unit="m"),
-        covariance,
-        scale_deviation,
-        loops,
-        graph,
-        solution,
-        by,
-        tuple(notes),
-        floor,
-    )
+    return Survey(surveyed, covariance, scale_deviation, loops, graph, solution, by, tuple(notes), floor)
 
 
 def _told_by_floor(

@@ -157,12 +157,9 @@ def export(
         else:
             given = here
     known = None if known is None else replace(known, describes=given)
+    camera = _own_camera(parameters, preprocessing, known, images)
     pieces: dict[str, Any] = {files.MAP: known, files.ERRORS: errors, files.REFINEMENT: refinement}
-    pieces |= {
-        files.LAYER: layer,
-        files.COARSE: coarse_map,
-        files.CAMERA: _own_camera(parameters, preprocessing, known, images),
-    }
+    pieces |= {files.LAYER: layer, files.COARSE: coarse_map, files.CAMERA: camera}
     made = _Ingredients(about, given, pieces, images, thumbnails)
     with atomic_folder(folder) as fresh:
         if precision == "auto":
