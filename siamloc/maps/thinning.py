@@ -117,7 +117,7 @@ def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Any) -> Th
     going = np.lexsort([-np.arange(len(known)), history.confirmed, -change, -history.contradicted])
     while (in_square > per_square).any() or stays.sum() > most:
         rows = going[stays[going]]
-        witnesses = _Witnesses.of(known.take(rows))
+        witnesses = _Witnesses(known.take(rows))
         while (crowded := (in_square > per_square)[square[rows]] & stays[rows]).any() or stays.sum() > most:
             if (row := witnesses.cheapest(crowded if crowded.any() else stays[rows])) is None:
                 break
@@ -140,18 +140,13 @@ class _Witnesses:
         off: (n, k + 2) how far these frames are from the picture's own; infinite where there are no more.
     """
 
-    def __init__(self, alike: NDArray[np.int64], off: NDArray[np.float64]) -> None:
-        self.alike, self.off = alike, off
-        self._stays = np.ones(len(alike) + 1, dtype=bool)
-        self._pictures, self._first = np.arange(len(alike)), np.zeros(len(alike), dtype=np.int64)
-        self._second = self._first + 1
-
-    @classmethod
-    def of(cls, known: VisualMap) -> _Witnesses:
-        """Compare all frames of a map with each other."""
+    def __init__(self, known: VisualMap) -> None:
         n, building = len(known), _numbered(known.frames.building)
         k = min(n, _MOST_ALIKE)
-        alike, off = np.full((n, k + 2), n), np.full((n, k + 2), np.inf)
+        self.alike, self.off = np.full((n, k + 2), n), np.full((n, k + 2), np.inf)
+        self._stays = np.ones(n + 1, dtype=bool)
+        self._pictures, self._first = np.arange(n), np.zeros(n, dtype=np.int64)
+        self._second = self._first + 1
         for part in slices(n, _AT_ONCE):
             own = np.arange(n)[part]
             unlike = np.where(building[own, None] == building, learned_distances(known, known.turning(own)), np.inf)
@@ -160,10 +155,9 @@ class _Witnesses:
             nearest_first = np.argsort(np.take_along_axis(unlike, order, axis=1), axis=1, kind="stable")
             order = np.take_along_axis(order, nearest_first, axis=1)
             same = building[order] == building[own, None]
-            alike[part, :k] = np.where(same, order, n)
+            self.alike[part, :k] = np.where(same, order, n)
             apart = np.linalg.norm(known.frames.xy[order] - known.frames.xy[own, None], axis=2)
-            off[part, :k] = np.where(same, apart, np.inf)
-        return cls(alike, off)
+            self.off[part, :k] = np.where(same, apart, np.inf)
 
     def cheapest(self, some: NDArray[np.bool_]) -> int | None:
         """Return the first of some frames (n,) whose loss moves the pictures least; None if some would be nowhere."""
