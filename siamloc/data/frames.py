@@ -169,8 +169,6 @@ class FrameTable:
         self.__dict__.update(state)
         self.__post_init__()  # copies of read-only arrays are writable
 
-    __hash__ = None  # type: ignore[assignment]
-
     def __iter__(self) -> Iterator[dict[str, Any]]:
         """Yield each frame as a plain dictionary."""
         for row in zip(*(column.tolist() for column in self.columns().values()), strict=True):

@@ -267,15 +267,14 @@ class VisualMap:
         Raises:
             DataError: a frame that the map does not hold, or no frame would be left.
         """
-        left = np.ones(len(self), dtype=bool)
         if isinstance(frames, FrameTable):
-            wanted = set(frames.identities())
-            left[:] = [key not in wanted for key in self.frames.identities()]
-            if missing := wanted - set(self.frames.identities()):
+            left = self.frames.rows_in(frames) < 0
+            if missing := set(frames.take(frames.rows_in(self.frames) < 0).identities()):
                 raise DataError(
                     f"{len(missing)} of {len(frames)} frames to leave out are not in the map, such as {min(missing)[1]}"
                 )
         else:
+            left = np.ones(len(self), dtype=bool)
             left[chosen_rows(frames, len(self))] = False
         if not left.any():
             raise DataError(f"all {len(self)} frames of the map would be left out: a map needs at least one")
