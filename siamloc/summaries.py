@@ -220,11 +220,10 @@ def compact(found: Measures) -> list[Table]:
 def buildings(found: Measures) -> list[Table]:
     """Return the table of buildings chosen correctly: a row for each lighting, a column for each building."""
     labels = found["confusion"]["labels"]
-    right: dict[str, Path] = {f"of {label}": f"of.{i}" for i, label in enumerate(labels)}
+    right: dict[str, Path] = {f"of {one}": (f"of.{i}.correct", f"of.{i}.queries") for i, one in enumerate(labels)}
     columns = _as("share", {"all": ("correct", "queries"), **right})
     rows = [
-        (own, {**group, "of": [_counts(group["building"].get(label)) for label in labels]})
-        for own, group in _labelled(found)
+        (own, {**group, "of": [group["building"].get(label) for label in labels]}) for own, group in _labelled(found)
     ]
     maps = [
         f"{label} {one['frames']:,} frames"
@@ -333,10 +332,6 @@ def _rows(methods: Mapping[str, Measures], part: str, by: str = "lighting") -> l
 
 def _labelled(part: Measures) -> list[Row]:
     return [((label,), group) for label, group in groups_of(part).items()]
-
-
-def _counts(group: Measures | None) -> tuple[int, int] | None:
-    return None if group is None else (group["correct"], group["queries"])
 
 
 def _at(group: Measures, path: Path) -> Any:
