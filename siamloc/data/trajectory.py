@@ -66,18 +66,20 @@ class Trajectory:
         position: in metres (n, 3).
         quaternion: unit quaternions (n, 4), x, y, z, w, which turn the frame's axes into those of the world.
         source: the file, for messages.
+        in_order: whether the file says the order of its quaternions.
     """
 
     time: Array
     position: Array
     quaternion: Array
     source: str = ""
+    in_order: bool = True
 
     def __len__(self) -> int:
         return len(self.time)
 
     @classmethod
-    def of(cls, time: Array, position: Array, quaternion: Array, source: str) -> Trajectory:
+    def of(cls, time: Array, position: Array, quaternion: Array, source: str, in_order: bool = True) -> Trajectory:
         """Make a trajectory of poses in any order of time; of poses with the same time the first is kept.
 
         Poses with a time, but without finite values or with a quaternion of zeros, such as robots send before they
@@ -106,7 +108,7 @@ class Trajectory:
             )
         time, position, quaternion, length = (part[~empty] for part in (time, position, quaternion, length))
         order = np.unique(time, return_index=True)[1] if np.isfinite(time).all() else np.arange(len(time))
-        return cls(time[order], position[order], (quaternion / length[:, None])[order], source)
+        return cls(time[order], position[order], (quaternion / length[:, None])[order], source, in_order)
 
     @classmethod
     def planar(cls, time: Array, poses: Array, source: str) -> Trajectory:
@@ -131,7 +133,7 @@ class Trajectory:
         exact = (times == self.time[before]) | (times == self.time[after])
         known = (times >= self.time[0]) & (times <= self.time[-1]) & ((span <= gap) | exact)
         position[~known], quaternion[~known] = np.nan, np.nan
-        return Trajectory(np.asarray(times, dtype=np.float64), position, quaternion, self.source)
+        return Trajectory(np.asarray(times, dtype=np.float64), position, quaternion, self.source, self.in_order)
 
     @typed
     def flat(self, axes: Axes = "robot", whole: Trajectory | None = None) -> Array:
@@ -226,7 +228,9 @@ class Trajectory:
 
     def _why_tilted(self, axes: Axes) -> str:
         other: Axes = "camera" if axes == "robot" else "robot"
-        if any(np.abs(mean_up(self._oriented[:, order], axes)).max() > _LEVEL for order in OTHER_ORDERS):
+        others = [mean_up(self._oriented[:, order], axes) for order in OTHER_ORDERS]
+        turns = np.linalg.norm(mean_up(self._oriented, axes)) < _LEVEL  # else its orientations are alike in any order
+        if not self.in_order and turns and np.abs(others).max() > _LEVEL:
             return "the quaternions are in the other order: give order=wxyz, or order=xyzw if w stands last"
         if np.abs(mean_up(self._oriented, other)).max() > _LEVEL:
             return f"the poses are those of a {other}, not of a {axes}: give axes={other}"
@@ -345,10 +349,9 @@ def read_trajectory(file: str | Path, form: Form | None = None, order: Order | N
         matrices, no_times = numbers.reshape(-1, 3, 4), np.full(len(numbers), np.nan)
         return Trajectory.of(no_times, matrices[:, :, 3], _of_matrices(matrices[:, :, :3], path), str(path))
     named = "".join(re.sub("[^a-z]", "", name)[-1:] for name in names[4:8])
-    order = order or next((one for one in get_args(Order) if one == named), None)
-    w_first = (order or {"tum": "xyzw", "euroc": "wxyz"}[form]) == "wxyz"
-    quaternion = numbers[:, [5, 6, 7, 4]] if w_first else numbers[:, 4:8]
-    return Trajectory.of(seconds(numbers[:, 0], str(path)), numbers[:, 1:4], quaternion, str(path))
+    order = order or next((one for one in get_args(Order) if one == named), "xyzw" if form == "tum" else "wxyz")
+    quaternion = numbers[:, [5, 6, 7, 4] if order == "wxyz" else [4, 5, 6, 7]]
+    return Trajectory.of(seconds(numbers[:, 0], str(path)), numbers[:, 1:4], quaternion, str(path), named == order)
 
 
 def seconds(times: Array, source: str, span: float | None = None) -> Array:

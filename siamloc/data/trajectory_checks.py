@@ -26,8 +26,8 @@ def other_order(trajectory: Trajectory, axes: Axes = "robot") -> str | None:
     In the other order, the robot then stands on its head, or drives backwards.
     """
     read = _upright(trajectory.quaternion, axes), _forward(trajectory, trajectory.quaternion, axes)
-    if abs(read[0]) < _ALIGNED:
-        return None  # which is an error
+    if trajectory.in_order or abs(read[0]) < _ALIGNED:
+        return None  # the latter is an error
     for rolled in (trajectory.quaternion[:, order] for order in OTHER_ORDERS):
         other = _upright(rolled, axes), _forward(trajectory, rolled, axes)
         on_its_head = read[0] < 0 and other[0] > _ALIGNED and not other[1] < 0

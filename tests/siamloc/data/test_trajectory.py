@@ -288,3 +288,15 @@ def test_the_other_order_can_be_given(tmp_path):
         read_trajectory(tmp_path / "nowhere.txt")
     with pytest.raises(ConfigError, match="form must be tum or kitti or euroc"):
         siamloc.data.read_trajectory(file, "tom")
+
+
+@pytest.mark.parametrize("names", ["", "# time x y z qx qy qz qw\n"])
+def test_quaternions_are_left_as_they_are_if_the_file_names_them_or_the_frame_hardly_turns(tmp_path, names):
+    file = tmp_path / "poses"
+    looks_down = Rotation.from_euler("Z", HEADING[:, None] / 100) * Rotation.from_quat([0.61, 0.6, -0.33, -0.4])
+    file.write_text(lines(TIME, XY, np.full(60, 1.6), looks_down.as_quat(), head=names))
+    with pytest.raises(DataError, match=r"^((?!order).)*$"):
+        read_trajectory(file).flat("camera")
+    file.write_text(lines(TIME, XY, np.full(60, 1.6), turns().as_quat()[:, [3, 0, 1, 2]], head=names))
+    with pytest.raises(DataError, match=r"^((?!order).)*$" if names else "in the other order"):
+        read_trajectory(file).flat()

@@ -28,6 +28,8 @@ def test_quaternions_in_the_other_order_are_doubted_although_they_stay_upright(t
     (said,) = doubts(read_trajectory(file))
     assert "with the quaternions in the other order: if w stands first give order=wxyz" in said
     assert doubts(read_trajectory(file, order="wxyz")) == []
+    file.write_text(f"# time x y z qx qy qz qw\n{file.read_text()}")
+    assert doubts(read_trajectory(file)) == [], "the file says the order"
 
 
 def test_quaternions_with_w_last_in_a_file_that_should_have_it_first_are_doubted(tmp_path):
