@@ -205,6 +205,13 @@ class Trajectory:
                 f"{self.source}: none of the {len(self)} poses is known, so that nothing says which way is up: take "
                 "times inside of the trajectory, or give the trajectory as whole"
             )
+        upwards = self._upright(axes)
+        if upwards is None:
+            raise DataError(f"{self.source}: {self._why_tilted(axes)}")
+        return upwards
+
+    def _upright(self, axes: Axes) -> Array | None:
+        """Return what `_upwards` returns; None if the frame does not stay upright with these axes."""
         mean = mean_up(self._oriented, axes)
         axis, ground = _nearest_axis(mean), self._ground()
         if ground is not None:
@@ -214,9 +221,7 @@ class Trajectory:
             leans = ground @ axis < np.cos(_LEANS) and unsteady < _STEADIER * usual
             if leans and ground @ mean >= _TILTED:
                 return np.asarray(ground)
-        if not np.abs(mean).max() >= _TILTED:
-            raise DataError(f"{self.source}: {self._why_tilted(axes)}")
-        return axis
+        return axis if np.abs(mean).max() >= _TILTED else None
 
     def _ground(self) -> Array | None:
         """Return the normal of the plane in which the positions lie (3,); None if they lie in none, or on a line."""
@@ -232,8 +237,8 @@ class Trajectory:
         turns = np.linalg.norm(mean_up(self._oriented, axes)) < _LEVEL  # else its orientations are alike in any order
         if not self.in_order and turns and np.abs(others).max() > _LEVEL:
             return "the quaternions are in the other order: give order=wxyz, or order=xyzw if w stands last"
-        if np.abs(mean_up(self._oriented, other)).max() > _LEVEL:
-            return f"the poses are those of a {other}, not of a {axes}: give axes={other}"
+        if self._upright(other) is not None:
+            return f"the poses seem to be those of a {other}, not of a {axes}: give axes={other}"
         return f"no axis of the world stays upright, with axes={axes}: the poses do not lie in a plane"
 
 

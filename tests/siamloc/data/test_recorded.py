@@ -269,7 +269,9 @@ def test_360loc(tmp_path, json_only):
             f"mapping/daytime_360_0/image/000{number}.jpg {number} 5 0 {turn}" for number, turn in enumerate(turns)
         ]
         (scene / "pose/360_mapping_gt.txt").write_text("\n".join(level))
-        with pytest.raises(DataError, match=r"daytime_360_0: the poses are those of a robot, .*: give axes=robot"):
+        with pytest.raises(
+            DataError, match=r"daytime_360_0: the poses seem to be those of a robot, .*: give axes=robot"
+        ):
             siamloc.data.read("360loc", root=scene)
         (scene / "pose/query_gt_360_night.txt").unlink()
         np.testing.assert_allclose(

@@ -154,7 +154,11 @@ def test_the_world_of_a_first_pose_that_looks_down_is_turned_level(axes, down):
     camera = pitched if axes == "robot" else pitched * OF_CAMERA
     xyz = np.column_stack([XY, np.random.default_rng(1).normal(0, 0.005, 60)])
     first = camera[0].inv()
-    found = Trajectory.of(TIME, first.apply(xyz - xyz[0]), (first * camera).as_quat(), "poses").tilted(axes)
+    poses = Trajectory.of(TIME, first.apply(xyz - xyz[0]), (first * camera).as_quat(), "poses")
+    if axes == "camera":
+        with pytest.raises(DataError, match="those of a camera, not of a robot: give axes=camera"):
+            poses.tilted("robot")
+    found = poses.tilted(axes)
     off = np.abs(np.degrees(found[:, 3:]) - [0, down]).max()
     assert (1 < off < 2.1) if down == 1 else off < 0.7, "a ground that leans by less than 2 degrees is taken as level"
     turn = np.angle(np.exp(1j * (np.diff(found[:, 2]) - np.diff(HEADING))))
