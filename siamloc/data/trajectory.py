@@ -234,12 +234,24 @@ class Trajectory:
     def _why_tilted(self, axes: Axes) -> str:
         other: Axes = "camera" if axes == "robot" else "robot"
         others = [mean_up(self._oriented[:, order], axes) for order in OTHER_ORDERS]
-        turns = np.linalg.norm(mean_up(self._oriented, axes)) < _LEVEL  # else its orientations are alike in any order
-        if not self.in_order and turns and np.abs(others).max() > _LEVEL:
+        swapped = not self.in_order and np.abs(others).max() > _LEVEL
+        mean = mean_up(self._oriented, axes)
+        if swapped and np.linalg.norm(mean) < _LEVEL:  # else its orientations are alike in any order
             return "the quaternions are in the other order: give order=wxyz, or order=xyzw if w stands last"
         if self._upright(other) is not None:
             return f"the poses seem to be those of a {other}, not of a {axes}: give axes={other}"
-        return f"no axis of the world stays upright, with axes={axes}: the poses do not lie in a plane"
+        back = self._oriented * np.array([-1, -1, -1, 1])
+        if np.linalg.norm(turned(back, _nearest_axis(mean)).mean(axis=0)) < _LEVEL:
+            return f"no axis of the world stays upright, with axes={axes}: the {axes} tilts on its way"
+        tilt, others_tilt, most = np.degrees(
+            np.arccos([np.abs(mean).max(), np.abs(mean_up(self._oriented, other)).max(), _TILTED])
+        )
+        doubt = ", unless the quaternions are in the other order (order=wxyz if w stands first)" if swapped else ""
+        return (
+            f"with axes={axes} the frame is tilted by {tilt:.0f} degrees against the nearest axis of the world, with "
+            f"axes={other} by {others_tilt:.0f}, and up to {int(most)} are read{doubt}: give the poses of a level "
+            "frame, such as the robot's base"
+        )
 
 
 def _nearest_axis(direction: Array) -> Array:

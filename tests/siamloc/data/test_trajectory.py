@@ -299,8 +299,17 @@ def test_quaternions_are_left_as_they_are_if_the_file_names_them_or_the_frame_ha
     file = tmp_path / "poses"
     looks_down = Rotation.from_euler("Z", HEADING[:, None] / 100) * Rotation.from_quat([0.61, 0.6, -0.33, -0.4])
     file.write_text(lines(TIME, XY, np.full(60, 1.6), looks_down.as_quat(), head=names))
-    with pytest.raises(DataError, match=r"^((?!order).)*$"):
+    with pytest.raises(DataError, match=r"^((?!order).)*$" if names else r"are read, unless .* in the other order"):
         read_trajectory(file).flat("camera")
     file.write_text(lines(TIME, XY, np.full(60, 1.6), turns().as_quat()[:, [3, 0, 1, 2]], head=names))
     with pytest.raises(DataError, match=r"^((?!order).)*$" if names else "in the other order"):
         read_trajectory(file).flat()
+
+
+def test_how_far_a_camera_is_tilted_is_said_where_that_is_too_far():
+    looks_down = Rotation.from_euler("ZY", np.column_stack([HEADING, np.full(60, np.radians(30))])) * OF_CAMERA
+    poses = Trajectory.of(TIME, np.column_stack([XY, np.ones(60)]), looks_down.as_quat(), "poses")
+    with pytest.raises(
+        DataError, match=r"axes=camera .* by 30 degrees .*, with axes=robot by 60, and up to 25 are read"
+    ):
+        poses.flat("camera")
