@@ -97,6 +97,9 @@ class Prepare(DataJob):
                 usual, given = RecordingKeys().plain(), self.recording.plain()
                 chosen = {key: value for key, value in given.items() if key != "file" and value != usual[key]}
                 chosen = {"file": self.recording.file, **found.proposal, **chosen}
+                if "images" not in chosen:
+                    say(f"there is nothing to extract: no topic of {self.recording.file} holds images")
+                    return found
                 chosen |= {"out": f"{self.recording.file.stem}_frames"}
                 panoramas = {"data.image_size": list(self.data.image_size), "data.circular": self.data.circular}
                 kept = {key: value for key, value in panoramas.items() if value != _PANORAMAS[key]}

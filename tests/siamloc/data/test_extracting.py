@@ -592,6 +592,14 @@ def test_the_command_looks_first_and_then_extracts(bags, tmp_path, monkeypatch, 
         siamloc.data.contents(tmp_path / "notes.txt")
 
 
+def test_no_command_is_proposed_for_a_bag_without_images(tmp_path, capsys):
+    bag = Written(tmp_path / "bag", "sqlite3")
+    with bag.writer:
+        bag.odometry("/odom", START, 0.0, 0.0, 0.0)
+    assert main(["prepare", str(bag.path)]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].startswith("there is nothing to extract: no topic of ")
+
+
 def test_a_camera_that_stamps_nothing_anew_is_warned_of(tmp_path, caplog):
     bag = Written(tmp_path / "bag", "sqlite3")
     with bag.writer:
