@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
+from logging import LogRecord
 from typing import Any, NoReturn
 
 from omegaconf import DictConfig, OmegaConf
@@ -19,7 +20,7 @@ from foundation.words import quoted, unquoted
 from siamloc.cli.help import job_of
 from siamloc.cli.overrides import flags_first, key_of, meant, only_of_others, together
 from siamloc.cli.words import values_of
-from siamloc.errors import ConfigError, DataError, SiamlocError, check_known, hint
+from siamloc.errors import ConfigError, DataError, SiamlocError, check_known, hint, logger
 from siamloc.jobs.job import Given, Job, at, import_own
 from siamloc.jobs.options import choices, config_folder, groups, is_fused, option, options
 from siamloc.jobs.sweep import Sweep
@@ -62,6 +63,10 @@ def run(command: str, words: list[str]) -> None:
     failed, not_run = list[tuple[Exception, Sweep]](), 0
     process = os.getpid()
 
+    def names_keys(record: LogRecord) -> bool:
+        record.msg, record.args = _with_keys(record.getMessage(), given, kind), ()
+        return True
+
     def job(config: DictConfig) -> None:
         nonlocal not_run
         if failed:  # an earlier job of the sweep
@@ -80,11 +85,13 @@ def run(command: str, words: list[str]) -> None:
     os.environ["HYDRA_FULL_ERROR"] = "1"  # pass errors through instead of printing them
     arguments = sys.argv
     sys.argv = [f"siamloc {command}", *words]
+    logger.addFilter(names_keys)
     try:
         hydra.main(version_base="1.3", config_path=_path(kind), config_name=_NAME)(job)()
     except Exception as error:
         _raise_explained(error, given, kind)
     finally:
+        logger.removeFilter(names_keys)
         sys.argv = arguments
         os.environ.update(before)
     if failed:
@@ -293,6 +300,15 @@ def _raise_explained(error: Exception, words: list[str], kind: type[Job]) -> NoR
     raise problem from error
 
 
+def _with_keys(text: str, words: list[str], kind: type[Job]) -> str:
+    """Return a message with the keys of the command for the arguments of readers."""
+    of_data, recorded = "data" in kind.GROUPS, "recording" in getattr(kind, "__dataclass_fields__", {})
+    if not (of_data or recorded):
+        return text
+    recorded = recorded and (not of_data or any(word.startswith("recording.") for word in words))
+    return _OF_A_READER.sub(rf"{'recording' if recorded else 'data'}.\1=", text)
+
+
 def _explained(error: Exception, words: list[str], kind: type[Job]) -> Exception:
     """Turn errors of Hydra and OmegaConf into one sentence with the nearest valid name; leave others alone."""
     from hydra.errors import HydraException
@@ -304,13 +320,8 @@ def _explained(error: Exception, words: list[str], kind: type[Job]) -> Exception
                 option(group, name)
             except ConfigError as wrong:
                 return wrong
-    of_data, recorded = "data" in kind.GROUPS, "recording" in getattr(kind, "__dataclass_fields__", {})
-    if isinstance(error, DataError) and (of_data or recorded):
-        recorded = recorded and (not of_data or any(word.startswith("recording.") for word in words))
-        group = "recording" if recorded else "data"
-        error.args = tuple(
-            _OF_A_READER.sub(rf"{group}.\1=", part) if isinstance(part, str) else part for part in error.args
-        )
+    if isinstance(error, DataError):
+        error.args = tuple(_with_keys(part, words, kind) if isinstance(part, str) else part for part in error.args)
         return error
     text = " ".join(str(error).split())
     index = re.search(r"invalid literal for int\(\) .*'(\w+)'", text) if type(error) is ValueError else None

@@ -140,7 +140,7 @@ class Pictures:
         files, self.taken = images_of(path, times, second=second)
         kind, taken = "pictures", self.taken
         if not np.isfinite(taken).all():
-            kind = "pictures without times (give times=FILE, or they count as a second apart)"
+            kind = "pictures without times (give recording.times=FILE, or they count as a second apart)"
             taken = np.arange(len(files), dtype=np.float64)
         self._files = sorted(zip(taken.tolist(), files, strict=True))
         self.topics = {"pictures": (kind, len(files))}

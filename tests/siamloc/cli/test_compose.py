@@ -13,7 +13,7 @@ from siamloc.cli import main
 from siamloc.cli.completion import candidates
 from siamloc.cli.compose import composed
 from siamloc.data import Protocol
-from siamloc.errors import ConfigError
+from siamloc.errors import ConfigError, logger
 from siamloc.jobs import Evaluate, MapFrames, Prepare, Pretrain, Preview, Report, SurveyDrives, Train, Walk
 from siamloc.jobs.options import choices, config_folder, groups, option
 from siamloc.maps.axes import WrongAxesError
@@ -252,3 +252,11 @@ def test_an_error_of_a_reader_stays_itself_with_the_keys_of_the_command(monkeypa
     copied = pickle.loads(pickle.dumps(raised))
     assert (str(copied), copied.finding) == (str(raised), raised.finding)
     assert str(copied).count("Leave x") == 1
+
+
+@pytest.mark.parametrize(("words", "group"), [("data=folder data.root=x", "data"), ("monday", "recording")])
+def test_warnings_of_a_reader_have_the_keys_of_the_command(monkeypatch, caplog, words, group):
+    monkeypatch.setattr(Prepare, "run", lambda job, say: logger.warning("%s: give offset=SECONDS", "monday"))
+    assert main(["prepare", *words.split()]) == 0
+    assert caplog.messages == [f"monday: give {group}.offset=SECONDS"]
+    assert not logger.filters

@@ -723,7 +723,7 @@ def test_pictures_without_times_in_their_names_are_taken_a_second_apart(tmp_path
         np.testing.assert_array_equal(cv2.imread(path), picture, "in the order of the numbers")
     with pytest.raises(ConfigError, match="is the recording itself"):
         siamloc.data.extract(pictures, pictures)
-    assert "3 x pictures without times (give times=FILE," in siamloc.data.contents(pictures).describe()
+    assert "3 x pictures without times (give recording.times=FILE," in siamloc.data.contents(pictures).describe()
     (tmp_path / "00.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 3)
     with pytest.raises(DataError, match=r"holds poses without times, .* data\.poses=.*00\.txt takes them in order"):
         siamloc.data.extract(pictures, tmp_path / "none", poses=str(tmp_path / "00.txt"))
