@@ -1,4 +1,4 @@
-"""`read_calibration`: cameras from the calibration files of Kalibr, OpenCV (and ROS), CamOdoCal and OCamCalib."""
+"""`read_calibration`: cameras from calibration files of Kalibr (EuRoC), OpenCV (ROS), CamOdoCal and OCamCalib."""
 
 from __future__ import annotations
 
@@ -37,11 +37,12 @@ _KALIBR = {
 def read_calibration(path: str | Path, camera: str | Sequence[str] | None = None, **where: Any) -> CentralCamera:
     """Read the calibration of a camera.
 
-    The form of the file is recognized: a camera chain of Kalibr (YAML), what OpenCV's `FileStorage` wrote (YAML, XML or
-    JSON) with a camera matrix, distortion coefficients, and `xi` for `cv2.omnidir`, ROS's camera info (YAML, or the
-    `camera_info.json` of a recording, with its topics), CamOdoCal's YAML (model_type MEI or KANNALA_BRANDT, as VINS has
-    it), or `calib_results.txt` of OCamCalib. Of OpenCV's files, those of the fisheye model must say so by the key
-    `fisheye_model` with the value 1, or by the `distortion_model` fisheye or equidistant.
+    The form of the file is recognized: a camera chain of Kalibr (YAML), the `sensor.yaml` of a drive of EuRoC, what
+    OpenCV's `FileStorage` wrote (YAML, XML or JSON) with a camera matrix, distortion coefficients, and `xi` for
+    `cv2.omnidir`, ROS's camera info (YAML, or the `camera_info.json` of a recording, with its topics), CamOdoCal's YAML
+    (model_type MEI or KANNALA_BRANDT, as VINS has it), or `calib_results.txt` of OCamCalib. Of OpenCV's files, those of
+    the fisheye model must say so by the key `fisheye_model` with the value 1, or by the `distortion_model` fisheye or
+    equidistant.
 
     Args:
         path: the file.
@@ -69,7 +70,9 @@ def read_calibration(path: str | Path, camera: str | Sequence[str] | None = None
     if not chain:
         if camera is not None:
             raise ConfigError(f"{file} is of one camera: leave out camera={camera}")
-        kind, values = (_camodocal if "model_type" in content else _opencv)(file, content)
+        of_euroc = "camera_model" in content and np.size(content.get("intrinsics", 0)) == 4
+        form = _camodocal if "model_type" in content else _kalibr if of_euroc else _opencv
+        kind, values = form(file, content)
         return kind.of({**values, **where})
     if not camera and len(chain) > 1:
         raise _several(file, chain)
@@ -121,11 +124,12 @@ def _several(file: Path, names: Iterable[str], doubt: str = "") -> ConfigError:
     return ConfigError(f"{file} is of several cameras{doubt}: give camera=NAME, one of {', '.join(names)}")
 
 
-def _kalibr(file: Path, values: Mapping[str, Any], name: str) -> Made:
-    """Return the model and the parameters of a camera of Kalibr."""
+def _kalibr(file: Path, values: Mapping[str, Any], name: str = "the camera") -> Made:
+    """Return the model and the parameters of a camera of Kalibr, or of EuRoC, whose names are nearly the same."""
     model, distortion = str(values["camera_model"]), str(values.get("distortion_model", "none"))
     numbers = _numbers(file, values.get("intrinsics"), f"{name}.intrinsics")
-    bent = _numbers(file, values.get("distortion_coeffs") or [], f"{name}.distortion_coeffs")
+    bent = _first(values, "distortion_coeffs", "distortion_coefficients") or []
+    bent = _numbers(file, bent, f"{name}.distortion_coeffs")
     columns, rows = _numbers(file, values.get("resolution"), f"{name}.resolution", 2)
     size: dict[str, Any] = {"image_size": (int(rows), int(columns))}
     if (model, distortion) not in _KALIBR:

@@ -118,6 +118,20 @@ projection_parameters:
    u0: 362.4
    v0: 245.5
 """
+EUROC = """\
+# General sensor definitions.
+sensor_type: camera
+T_BS:
+  cols: 4
+  rows: 4
+  data: [1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
+rate_hz: 20
+resolution: [512, 510]
+camera_model: pinhole
+intrinsics: [190.97, 190.97, 254.93, 256.89] #fu, fv, cu, cv
+distortion_model: equidistant
+distortion_coefficients: [0.0034, 0.0007, -0.0020, 0.0002]
+"""
 MATRIX = np.array([[200.5, 0.3, 320.1], [0, 201.5, 240.2], [0, 0, 1]])
 BENT = np.array([0.01, 0.002, -0.001, 0.0003])
 RAYS = np.array([(1, 0.01, 0), (1, 0.3, -0.2), (1, -0.8, 0.4), (0.3, 0.5, 0.4)])
@@ -150,6 +164,11 @@ def test_a_chain_of_kalibr(tmp_path, name, project):
     agrees(camera, project)
     numbers = [float(word) for word in KALIBR.split(f"{name}:")[1].split("intrinsics: [")[1].split("]")[0].split(",")]
     assert [camera.fx, camera.fy, camera.cx, camera.cy] == numbers[-4:]
+
+
+def test_the_sensor_file_of_a_drive_of_euroc_is_read_like_a_chain_of_kalibr(tmp_path):
+    camera = read_calibration(written(tmp_path / "chain.yaml", KALIBR), "cam0")
+    assert read_calibration(written(tmp_path / "sensor.yaml", EUROC)) == camera
 
 
 def test_two_cameras_of_a_chain_are_two_lenses(tmp_path):
@@ -273,6 +292,12 @@ def test_the_command_line_names_the_file_and_a_run_keeps_the_camera(tmp_path):
         (KALIBR, None, ConfigError, "is of several cameras: give camera=NAME, one of cam0, cam1"),
         (ROS.replace("distortion_model: equidistant", ""), None, DataError, "add the key fisheye_model with the value"),
         (KALIBR, "cam3", DataError, "cam3 of .* is of the model eucm with none distortion: Kalibr's omni"),
+        (
+            EUROC.replace("equidistant", "radial-tangential"),
+            None,
+            DataError,
+            "pinhole with radial-tangential distortion",
+        ),
         (KALIBR, ["cam0", "cam1", "cam2"], ConfigError, "one camera or two"),
         (KALIBR, ["cam1", "cam2"], DataError, "cam2 of .* has no T_cn_cnm1"),
         (KALIBR.replace("190.97, 190.97, ", ""), "cam0", DataError, "has 2 intrinsics and 4 .*pinhole has 4 and 4"),
