@@ -19,6 +19,7 @@ from siamloc.data.frames import parsed_yaml, read_file
 from siamloc.data.panorama import Array
 from siamloc.errors import ConfigError, DataError, hint
 
+_ORDINARY = "pictures of an ordinary camera are not unwrapped, set data.circular=false"
 _READ = (
     "Kalibr's omni, ds and pinhole with equidistant distortion, OpenCV's fisheye and omnidir, CamOdoCal's MEI and "
     "KANNALA_BRANDT, and OCamCalib are read"
@@ -133,7 +134,7 @@ def _kalibr(file: Path, values: Mapping[str, Any], name: str = "the camera") -> 
     columns, rows = _numbers(file, values.get("resolution"), f"{name}.resolution", 2)
     size: dict[str, Any] = {"image_size": (int(rows), int(columns))}
     if (model, distortion) not in _KALIBR:
-        raise DataError(f"{name} of {file} is of the model {model} with {distortion} distortion: {_READ}")
+        raise DataError(f"{name} of {file} is of the model {model} with {distortion} distortion: {_READ}; {_ORDINARY}")
     if (len(numbers), len(bent)) != (counts := _KALIBR[model, distortion]):
         raise DataError(
             f"{name} of {file} has {len(numbers)} intrinsics and {len(bent)} distortion coefficients, and a camera of "
@@ -179,15 +180,12 @@ def _opencv(file: Path, values: Mapping[str, Any], name: str = "the camera") -> 
     if xi is None and not fisheye and not model and len(bent) == 4:
         raise DataError(
             f"{name} of {file} has 4 distortion coefficients, and the file does not say of which model: add the key "
-            "fisheye_model with the value 1 if it was calibrated by cv2.fisheye, or its xi for cv2.omnidir; pictures "
-            "of an ordinary camera are not unwrapped, set data.circular=false"
+            "fisheye_model with the value 1 if it was calibrated by cv2.fisheye, or its xi for cv2.omnidir; "
+            f"{_ORDINARY}"
         )
     if (xi is None and not fisheye) or len(bent) != 4:
         what = f"the distortion model {model}" if model else "no model"
-        raise DataError(
-            f"{name} of {file} has {what} and {len(bent)} distortion coefficients: {_READ}; pictures of an "
-            "ordinary camera are not unwrapped, set data.circular=false"
-        )
+        raise DataError(f"{name} of {file} has {what} and {len(bent)} distortion coefficients: {_READ}; {_ORDINARY}")
     if xi is not None:
         return UnifiedCamera, {**found, "xi": _numbers(file, xi, "xi", 1)[0], "distortion": bent}
     return FisheyeCamera, {**found, "k": bent}
@@ -201,7 +199,7 @@ def _camodocal(file: Path, values: Mapping[str, Any]) -> Made:
             own |= given
     lens = {"MEI": ("gamma1", "gamma2", "xi"), "KANNALA_BRANDT": ("mu", "mv")}.get(model.upper())
     if lens is None:
-        raise DataError(f"{file} is of the model {model}: {_READ}")
+        raise DataError(f"{file} is of the model {model}: {_READ}; {_ORDINARY}")
     bent = ("k1", "k2", "p1", "p2") if "xi" in lens else ("k2", "k3", "k4", "k5")
     names = (*lens[:2], "u0", "v0", *bent, *lens[2:])
     fx, fy, cx, cy, *rest = _numbers(file, [own.get(name) for name in names], f"{', '.join(names)} of {model}")
