@@ -232,13 +232,19 @@ def extract(
                 columns |= dict(zip(names, _joined(recording, times, trajectory, what, settings).T, strict=False))
         if isinstance(recording, Bag) and (cameras := recording.calibrations()):
             write_json(folder / CALIBRATION, cameras)
-    name = settings.sequence or path.stem
+    name = settings.sequence or drive_name(path)
     labels = {"sequence": [name] * len(files), "lighting": [lighting_in(name)] * len(files)}
     frames = FrameTable(path=files).with_columns(**labels, **columns)
     if "x" in columns:
         frames = placed(frames, f"images of {path} have no pose", settings.on_error)
     write_text(folder / MANIFEST, manifest_of(frames, folder))
     return read("manifest", manifest=folder / MANIFEST)
+
+
+def drive_name(recording: Path) -> str:
+    """Return the name of a recording's drive: the file without its ending, or the folder, which may have a dot."""
+    path = recording if recording.name.strip(".") else recording.resolve()
+    return path.name if path.is_dir() and path.suffix.lower() not in BAGS else path.stem
 
 
 def writes_camera(folder: Path, unwrap: Mapping[str, Any]) -> bool:

@@ -12,7 +12,7 @@ from analytic import Descriptor
 from foundation.files import write_picture
 from foundation.words import as_words
 from siamloc.data import AutoRing, PanoramaLibrary, check, contents, extract, find_mounting, summary
-from siamloc.data.extracting import MANIFEST, Contents, Extraction, writes_camera
+from siamloc.data.extracting import MANIFEST, Contents, Extraction, drive_name, writes_camera
 from siamloc.data.image_files import read_image
 from siamloc.data.reading import DataSettings
 from siamloc.data.ring import draw_ring
@@ -100,7 +100,7 @@ class Prepare(DataJob):
                 if "images" not in chosen:
                     say(f"there is nothing to extract: no topic of {self.recording.file} holds images")
                     return found
-                chosen |= {"out": f"{self.recording.file.stem}_frames"}
+                chosen |= {"out": f"{drive_name(found.file)}_frames"}
                 panoramas = {"data.image_size": list(self.data.image_size), "data.circular": self.data.circular}
                 kept = {key: value for key, value in panoramas.items() if value != _PANORAMAS[key]}
                 words = as_words({**{f"recording.{key}": value for key, value in chosen.items()}, **kept})

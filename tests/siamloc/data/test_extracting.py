@@ -600,6 +600,14 @@ def test_no_command_is_proposed_for_a_bag_without_images(tmp_path, capsys):
     assert capsys.readouterr().out.splitlines()[-1].startswith("there is nothing to extract: no topic of ")
 
 
+def test_the_drive_of_a_folder_has_its_whole_name(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(written(tmp_path / "2024.05.13", ["1.png", "2.png"]))
+    assert main(["prepare", "."]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].endswith("recording.out=2024.05.13_frames")
+    for recording in (".", "../2024.05.13"):
+        assert set(siamloc.data.extract(recording, tmp_path / "out").sequence) == {"2024.05.13"}
+
+
 def test_a_camera_that_stamps_nothing_anew_is_warned_of(tmp_path, caplog):
     bag = Written(tmp_path / "bag", "sqlite3")
     with bag.writer:
