@@ -359,8 +359,8 @@ def proposed(topics: Mapping[str, tuple[str, int]], frames: Iterable[Edge]) -> d
     """Return the sources that a recording most likely means: "images", "poses" and "odometry", where there are any.
 
     Images of a camera for all directions come before others, and depth comes last. Poses are those of a topic that is
-    named after a source of true poses, else the robot in the frame "map" or "world", else those of another topic with
-    poses along a drive.
+    named after a source of true poses, else the robot in the frame "map" or "world", else AMCL's, which are the same
+    ones less often, else those of another topic with poses along a drive.
     """
     kinds = {name: KINDS.get(kind, "") for name, (kind, _) in topics.items()}
     counts = {name: count for name, (_, count) in topics.items() if count}
@@ -377,15 +377,15 @@ def proposed(topics: Mapping[str, tuple[str, int]], frames: Iterable[Edge]) -> d
         nearest = [[f"{at}:{robot}" for at in _ancestors(robot, above)[1:] if at in parents][:1] for robot in _BASES]
         return [name for names in nearest for name in names]
 
-    true = ("truth", "gt", "vicon", "mocap", "amcl", "slam")
+    true = ("truth", "gt", "vicon", "mocap", "slam")
     poses = [name for name in best("poses", (*true, "pose")) if counts[name] >= _FEW]
     poses = [name for name in poses if not holds(name, _NOT_OF_THE_ROBOT)]
-    named = [name for name in poses if holds(name, true)]
+    named, amcl = ([name for name in poses if holds(name, words)] for words in (true, ("amcl",)))
     wheels = best("odometry", ("wheel", "odom"))
     images = best("images", ("omni", "360", "pano", "equirect", "fisheye", "theta"))
     candidates = {
         "images": sorted(images, key=lambda name: holds(name, _NOT_PICTURES)),
-        "poses": [*named, *below("map", "world"), *poses, *(name for name in wheels if "truth" in name)],
+        "poses": [*named, *below("map", "world"), *amcl, *poses, *(name for name in wheels if "truth" in name)],
         "odometry": [*(name for name in wheels if "truth" not in name), *below("odom")],
     }
     return {what: names[0] for what, names in candidates.items() if names}

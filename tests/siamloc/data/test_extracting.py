@@ -49,7 +49,7 @@ def drive(path, form, compressed=False):
             time = START + number * 500_000_000
             pose = bag.covariant(bag.pose(number, 2.0, 0.5 + 0.1 * number))
             kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
-            bag.write("/amcl_pose", kind, time, header=bag.header(time, "map"), pose=pose)
+            bag.write("/slam_pose", kind, time, header=bag.header(time, "map"), pose=pose)
             bag.odometry("/odom", time, 0.1 * number, 0.0, 0.2 * number)
             bag.transform("/tf", time, "odom", "base_link", 0.1 * number, 0.0, 0.2 * number)
         bag.transform("/tf", START, "map", "odom", 10.0, 20.0, np.pi / 2)
@@ -73,8 +73,8 @@ def test_a_bag_is_read_as_it_was_written(bags, tmp_path, form):
     found = siamloc.data.contents(bags[form])
     assert found.topics["/omni/image_raw"] == ("sensor_msgs/msg/Image", 5)
     assert set(found.frames) == {"odom:base_link", "map:odom"}
-    assert found.proposal == {"images": "/omni/image_raw", "poses": "/amcl_pose", "odometry": "/odom"}
-    assert "/amcl_pose" in found.describe()
+    assert found.proposal == {"images": "/omni/image_raw", "poses": "/slam_pose", "odometry": "/odom"}
+    assert "/slam_pose" in found.describe()
     frames = siamloc.data.extract(bags[form], tmp_path)
     assert [Path(path).name for path in frames.path.tolist()] == [f"{START + t * 10**9:019d}.jpg" for t in range(5)]
     np.testing.assert_allclose(frames.xy, [[2 * t, 2] for t in range(5)], atol=1e-6)
@@ -222,6 +222,9 @@ def test_the_poses_along_a_drive_are_proposed(tmp_path, form):
     np.testing.assert_allclose(frames.x, [0.5])
     topics = {"/goal_pose": ("geometry_msgs/msg/PoseStamped", 99), "/arm_pose": ("geometry_msgs/msg/PoseStamped", 12)}
     assert proposed(topics, []) == {"poses": "/arm_pose"}
+    with_amcl = {**topics, "/amcl_pose": ("geometry_msgs/msg/PoseWithCovarianceStamped", 10)}
+    assert proposed(with_amcl, []) == {"poses": "/amcl_pose"}
+    assert proposed(with_amcl, [("map", "base_link")])["poses"] == "map:base_link", "the same poses, more often"
     cameras = {"/depth/image": ("sensor_msgs/msg/Image", 99), "/color/image": ("sensor_msgs/msg/Image", 9)}
     assert proposed(cameras, []) == {"images": "/color/image"}
     topics["/ground_truth"] = ("geometry_msgs/msg/PoseStamped", 10)
