@@ -164,8 +164,13 @@ def _between(file: Path, chain: Mapping[str, Any], first: str, second: str) -> A
 def _opencv(file: Path, values: Mapping[str, Any], name: str = "the camera") -> Made:
     """Return the model and the parameters of a camera of OpenCV or ROS."""
     matrix = _first(values, "camera_matrix", "K", "k", "cameraMatrix", "intrinsics")
+    if matrix is None and (own := values.get("cam0_calib")):
+        raise DataError(f"{file} is no calibration, but names that of its camera: give {file.parent / str(own)}")
     if matrix is None:
-        raise DataError(f"{file} holds no camera matrix among {shortened(', '.join(values))}: {_READ}")
+        raise DataError(
+            f"{file} holds no camera matrix among {shortened(', '.join(values))}: {_READ}; the parameters in other "
+            "files can be given by hand, as unwrap=double_sphere or unwrap=fisheye unwrap.fx=... unwrap.k=[...]"
+        )
     matrix = _numbers(file, matrix, "the camera matrix", 9)
     bent = _first(values, "distortion_coefficients", "D", "d", "distCoeffs", "dist_coeffs", "distortion_coeffs")
     bent = (0.0,) * 4 if bent is None else _numbers(file, bent, "the distortion")
