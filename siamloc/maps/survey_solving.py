@@ -99,9 +99,9 @@ def residual_of_steps(graph: PoseGraph, solution: Solution) -> Array:
 def torn_before(graph: PoseGraph, solution: Solution) -> NDArray[np.int64]:
     """Return the frames before which a drive is torn: the solution contradicts all steps across, by their weights.
 
-    It is also torn where the solution is far from the step to the next frame, though other steps across, over a tear
-    beside it, may agree. Odometry across holds a drive together all the same, but for anchors. Where images are unlike,
-    so that only the step to the next frame is known, it may be a little wrong.
+    Where images are unlike, so that only the step to the next frame is known, it may be a little wrong: a drive is torn
+    there if it is far off. Without anchors, that is so even if other steps across, over a tear beside it, agree; and
+    odometry across holds a drive together all the same.
     """
     steps = graph.pictures
     weight = solution.weight[: len(steps)]
@@ -110,9 +110,9 @@ def torn_before(graph: PoseGraph, solution: Solution) -> NDArray[np.int64]:
         there = steps.first + later <= steps.second
         np.fmax.at(across, (steps.first + later)[there], weight[there])
         np.add.at(count, (steps.first + later)[there], 1)
-    torn = across < _DOUBTED
+    far = (steps.second == steps.first + 1) & (weight < _DOUBTED) & (residual_of_steps(graph, solution) > _TORN)
+    far = np.isin(np.arange(len(graph)), steps.second[far])
+    torn = (across < _DOUBTED) & ((count > 1) | far)
     if len(graph.fixed) < 2:
-        far = (steps.second == steps.first + 1) & (weight < _DOUBTED) & (residual_of_steps(graph, solution) > _TORN)
-        torn = torn & (count > 1) | np.isin(np.arange(len(graph)), steps.second[far])
-        torn &= ~np.isin(np.arange(len(graph)), graph.wheels.second)
+        torn = (torn | far) & ~np.isin(np.arange(len(graph)), graph.wheels.second)
     return np.flatnonzero(torn)

@@ -17,15 +17,19 @@ from siamloc.maps.survey_steps import BEFORE
 ROUND, AGAIN = 50, 10  # frames of a circle of 3 m, and of its second round
 
 
-def notes(turns_less=0.0, wrong_at=None, unlike=False, alone=False, wheels=False) -> list[str]:
+def notes(
+    turns_less=0.0, wrong_at=None, wrong_by=1.2, unlike=False, alone=False, wheels=False, anchors=()
+) -> list[str]:
     """The notes of a robot that drives in a circle, whose loops are right.
 
     Args:
         turns_less: share by which the turns of its steps are seen too small.
-        wrong_at: a frame before which the robot is seen to drive 1.2 m that it does not drive.
+        wrong_at: a frame before which the robot is seen to drive some metres that it does not drive.
+        wrong_by: these metres.
         unlike: whether images are unlike there: only the step to the next one is known, and doubted.
         alone: whether only that step is known there, for certain.
         wheels: whether it has odometry, which is right.
+        anchors: frames whose poses are known.
     """
     t = 2 * np.pi * np.arange(ROUND + AGAIN) / ROUND
     true = np.column_stack([3 * np.sin(t), 3 * (1 - np.cos(t)), t])
@@ -40,7 +44,7 @@ def notes(turns_less=0.0, wrong_at=None, unlike=False, alone=False, wheels=False
     next_one = second == first + 1
     rolled = replace(steps, pose=steps.pose.copy()).take(next_one if wheels else slice(0, 0))
     steps.pose[:, 2] *= 1 - turns_less
-    steps.pose[across, 0] += 1.2
+    steps.pose[across, 0] += wrong_by
     again, before = (part.ravel() for part in np.mgrid[ROUND : ROUND + AGAIN, 0:AGAIN])
     loops = Loops(
         before,
@@ -52,8 +56,8 @@ def notes(turns_less=0.0, wrong_at=None, unlike=False, alone=False, wheels=False
         np.zeros(len(again)),
     )
     drive = np.zeros(len(t), dtype=np.int64)
-    graph = PoseGraph(steps, rolled, drive, drive[:0])
-    start = chained(np.concatenate([np.zeros((1, 3)), steps.pose[next_one]]))
+    graph = PoseGraph(steps, rolled, drive, np.array(anchors, dtype=np.int64))
+    start = true if anchors else chained(np.concatenate([np.zeros((1, 3)), steps.pose[next_one]]))
     frames = FrameTable(path=[f"{row}.jpg" for row in range(len(t))], sequence=["monday"] * len(t))
     whole, solution, loops = solved(graph, loops, start)
     return solution_notes(frames, graph, whole, solution, loops)
@@ -74,3 +78,10 @@ def test_a_drive_that_one_certain_step_holds_together_is_torn_where_loops_contra
 @pytest.mark.parametrize("given", ["wheels", "unlike"])
 def test_what_odometry_holds_together_is_not_torn_and_what_images_do_not_show_may_be(given):
     assert not notes(wrong_at=30, **{given: True})
+
+
+def test_anchors_contradict_images_that_show_well_how_the_robot_drove():
+    around = (0, 29, 30, 59)
+    assert "the anchors contradict the images" in notes(wrong_at=30, anchors=around)[0]
+    assert "the anchors contradict the images" in notes(wrong_at=30, alone=True, wheels=True, anchors=around)[0]
+    assert not notes(wrong_at=30, wrong_by=0.5, alone=True, wheels=True, anchors=around)
