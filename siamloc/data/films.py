@@ -18,6 +18,7 @@ from siamloc.errors import DataError, Policy, logger
 _MOST = 3000  # pictures in a row that cannot be decoded, after which a video has ended: OpenCV does not say which it is
 _EARLY = 0.5, 0.01  # s, and share of the length, by which a whole video may end before what it announces
 COUNTED = (".avi", ".mp4", ".mov")  # files that hold the number of their pictures: OpenCV estimates that of others
+_SILENT = 0  # of OpenCV's levels of messages
 _FFMPEG_LEVEL, _FFMPEG_SILENT = "OPENCV_FFMPEG_LOGLEVEL", "-8"
 
 
@@ -95,9 +96,9 @@ class Film:
 @contextmanager
 def quiet() -> Iterator[None]:
     """Silence OpenCV's and FFmpeg's messages about a missing camera or video: the error raised here reports it."""
-    log = cv2.utils.logging
+    log = getattr(cv2.utils, "logging", cv2)  # where the functions are from OpenCV 4.13 on
     level = log.getLogLevel()
-    log.setLogLevel(log.LOG_LEVEL_SILENT)
+    log.setLogLevel(_SILENT)
     chosen = os.environ.setdefault(_FFMPEG_LEVEL, _FFMPEG_SILENT)  # read when the first video is opened
     try:
         yield

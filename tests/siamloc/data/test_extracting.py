@@ -17,7 +17,7 @@ import siamloc.data
 from foundation.extras import lacking
 from siamloc.cli import main
 from siamloc.data.bags import METADATA, proposed
-from siamloc.data.films import Film
+from siamloc.data.films import Film, quiet
 from siamloc.errors import ConfigError, DataError
 
 pytest.importorskip("rosbags", reason="the extra `recordings` is not installed")
@@ -809,3 +809,13 @@ def test_pictures_that_were_recorded_out_of_order_are_taken_without_a_rate_and_r
     frames = siamloc.data.extract(tmp_path / "monday.avi", tmp_path / "fewer", rate=1.0)
     assert frames.time.tolist() == [2, 3]
     assert re.search(r"2 of 4 images of .* after later ones, which a rate leaves out, the first: 1\.000 s", caplog.text)
+
+
+def test_older_versions_of_opencv_are_silenced_as_well(monkeypatch):
+    levels = [3]
+    monkeypatch.setattr(cv2, "getLogLevel", lambda: levels[-1], raising=False)
+    monkeypatch.setattr(cv2, "setLogLevel", levels.append, raising=False)
+    monkeypatch.delattr(cv2.utils, "logging")  # where OpenCV 4.13 moved these functions
+    with quiet():
+        pass
+    assert levels == [3, 0, 3]
