@@ -6,6 +6,7 @@ from importlib.metadata import distribution, packages_distributions
 from pathlib import Path
 
 from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -36,10 +37,10 @@ def printed(code: str, *extras: str) -> str:
     needed = set()
     while wanted:
         one = Requirement(wanted.pop())
-        if one.name not in needed and (one.marker is None or one.marker.evaluate({"extra": ""})):
-            needed.add(one.name)
+        if canonicalize_name(one.name) not in needed and (one.marker is None or one.marker.evaluate({"extra": ""})):
+            needed.add(canonicalize_name(one.name))
             wanted += distribution(one.name).requires or []
-    modules = [module for module, names in packages_distributions().items() if needed & set(names)]
+    modules = [module for module, names in packages_distributions().items() if needed & set(map(canonicalize_name, names))]
     only = f"OURS = {['siamloc', 'analytic', 'augment', 'foundation', *modules]}\n{ONLY}"
     command = [sys.executable, "-W", "error", "-c", only + code]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
