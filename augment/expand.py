@@ -67,6 +67,9 @@ def expand(
 ) -> Expansion:
     """Write the variants of images, each file whole or not at all.
 
+    `augment.variants(depth)[variant].policy.apply(image, {key: [value] for key, value in parameters.items()})` makes an
+    image again, from the variant and the parameters in its row of the table.
+
     Args:
         images: the n source images, at least one.
         outputs: for each source the files to write (n, depth), all different, and inside the folder; the suffix sets

@@ -40,7 +40,9 @@ def printed(code: str, *extras: str) -> str:
         if canonicalize_name(one.name) not in needed and (one.marker is None or one.marker.evaluate({"extra": ""})):
             needed.add(canonicalize_name(one.name))
             wanted += distribution(one.name).requires or []
-    modules = [module for module, names in packages_distributions().items() if needed & set(map(canonicalize_name, names))]
+    modules = [
+        module for module, names in packages_distributions().items() if needed & set(map(canonicalize_name, names))
+    ]
     only = f"OURS = {['siamloc', 'analytic', 'augment', 'foundation', *modules]}\n{ONLY}"
     command = [sys.executable, "-W", "error", "-c", only + code]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)

@@ -207,7 +207,11 @@ class FrameTable:
         return list(zip(self.sequence.tolist(), paths, strict=True))
 
     def rows_in(self, other: FrameTable) -> NDArray[np.int64]:
-        """Return the row of each frame (n,) in another table, by `identities`; -1 for a frame that the other lacks."""
+        """Return the row of each frame (n,) in another table, by `identities`; -1 for a frame that the other lacks.
+
+        >>> FrameTable(path=["a.jpg", "b.jpg"]).rows_in(FrameTable(path=["b.jpg"]))
+        array([-1,  0])
+        """
         rows = {key: row for row, key in enumerate(other.identities())}
         return np.array([rows.get(key, -1) for key in self.identities()], dtype=np.int64)
 

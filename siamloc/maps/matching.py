@@ -151,9 +151,7 @@ def learned_distances(known: VisualMap, queries: Description) -> NDArray[np.floa
     return distance_named(known.distance)(queries.position[:, : known.learned.shape[1]], known.learned)
 
 
-def _light_distances(
-    known: VisualMap, queries: Description, excluded: NDArray[np.bool_] | None = None
-) -> NDArray[np.float64]:
+def _light_distances(known: VisualMap, queries: Description, excluded: NDArray[np.bool_] | None) -> NDArray[np.float64]:
     """Compute distances to all map frames, in which colours count the less, the less the light is that of the map.
 
     Where the colours of a query are at least h from those of all map frames, and the map's have the spacing s (see

@@ -1,6 +1,6 @@
 """The sections of a report page about what a task measured: its tables, its picture, and what they mean.
 
-Each is for evaluations that have the measure.
+The list in `write.py` says which measure each of them needs.
 """
 
 from __future__ import annotations
