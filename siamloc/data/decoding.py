@@ -236,8 +236,13 @@ class Preprocessing:
 
     def files(self, path: str | Path) -> list[Path]:
         """Return the files of an image: one, or the two pictures of a `DualFisheyeCamera`."""
-        first, names = Path(path), getattr(self.camera, "second", None)
-        return [first] if names is None else [first, first.parent / first.name.replace(*names)]
+        first = Path(path)
+        return [first] if self.second is None else [first, first.parent / first.name.replace(*self.second)]
+
+    @property
+    def second(self) -> tuple[str, str] | None:
+        """How the names of second pictures differ, as in `DualFisheyeCamera`; None if an image is one picture."""
+        return getattr(self.camera, "second", None)
 
     def _opened(self, path: str | Path, *, levelled: bool) -> tuple[NDArray[np.uint8], Preprocessing]:
         """Return an image, and the preprocessing with the camera as the image says that it was placed."""

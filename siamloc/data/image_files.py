@@ -31,14 +31,22 @@ class UnreadableImageError(Exception):
     """An image that cannot be used, among others that can; the text says why."""
 
 
-def image_files(folder: Path) -> list[Path]:
+def image_files(folder: Path, second: tuple[str, str] | None = None) -> list[Path]:
     """Return the image files directly inside a folder, in the order of their names, where 2 comes before 10.
 
     Hidden files, whose names begin with a dot, are left out.
+
+    Args:
+        folder: the folder.
+        second: how the names of second pictures differ, which are left out; see `DualFisheyeCamera`.
     """
     suffixes = {".jpeg", ".jpg", ".png", ".bmp", ".ppm", ".tif", ".tiff", ".webp"}
     shown = (path for path in folder.iterdir() if not path.name.startswith("."))
-    return sorted((path for path in shown if path.suffix.lower() in suffixes and path.is_file()), key=by_numbers)
+    files = sorted((path for path in shown if path.suffix.lower() in suffixes and path.is_file()), key=by_numbers)
+    if second is None:
+        return files
+    others = {other for file in files if (other := file.name.replace(*second)) != file.name}
+    return [file for file in files if file.name not in others]
 
 
 def read_image(path: str | Path, bits: int | None = None) -> NDArray[np.uint8]:

@@ -157,14 +157,11 @@ def images_of(
         folder: the folder.
         times: list of the times; see `read_recorded`.
         span: as for `siamloc.data.trajectory.seconds`.
-        second: how the names of second pictures differ, which are left out; see `DualFisheyeCamera`.
+        second: as for `siamloc.data.image_files.image_files`.
     """
     if not folder.is_dir():
         raise DataError(f"{folder} is not a folder of images")
-    files = image_files(folder)
-    if second is not None:
-        others = {other for file in files if (other := file.name.replace(*second)) != file.name}
-        files = [file for file in files if file.name not in others]
+    files = image_files(folder, second)
     if not files:
         inside = sorted(path.name for path in folder.iterdir())
         if bag := next((name for name in inside if name.lower().endswith(BAGS)), None):

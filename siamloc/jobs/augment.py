@@ -96,7 +96,8 @@ class Preview(DataJob):
 
         paths = []
         if self.images:
-            paths = [str(path) for name, files in named(self.images) for path in files or [Path(name)]]
+            listed = named(self.images, self.preprocessing.second)
+            paths = [str(path) for name, files in listed for path in files or [Path(name)]]
         elif self.data.where:
             paths = self.data.read().path.tolist()
         panoramas = self.preprocessing.panoramas(paths, self.count) if paths else simulate.panoramas(self.count)

@@ -101,7 +101,8 @@ def locate_all(
     Args:
         localizer: locates them.
         images: image files, folders of them, video files, and cameras of this machine, such as "camera:0"; or one.
-            Folders are listed once: images that come later are not located.
+            Folders are listed once: images that come later are not located. Of two pictures of a `DualFisheyeCamera`
+            the second goes with the first.
         on_error: "skip" reports an image that cannot be read and continues; "raise" stops there, and at the end of a
             video whose end is missing.
         track: follow the robot from image to image, see `Localizer.tracker`; each folder, video and camera is a drive.
@@ -124,7 +125,8 @@ def locate_all(
     if odometry is not None and not track:
         raise ConfigError(f"odometry={odometry} says how the robot is followed: set track=true (in Python track=True)")
     wheels = {} if odometry is None else read_odometry(odometry)
-    names = [str(path) for name, files in named(images) for path in files or [Path(name)]]
+    second = localizer.bundle.preprocessing.second
+    names = [str(path) for name, files in named(images, second) for path in files or [Path(name)]]
     in_table = {*wheels, *(path.rpartition("#")[0] for path in wheels)}
     if wheels and not any(abspath(name) in in_table for name in names):  # noqa: PTH100
         raise DataError(
@@ -132,7 +134,7 @@ def locate_all(
             "image of drive.mp4 is drive.mp4#0"
         )
     tracker, drive, last = None, "", _UNKNOWN
-    for name, image, pose in pictures(images, on_error):
+    for name, image, pose in pictures(images, on_error, second):
         before, drive = drive, str(image.parent) if isinstance(image, Path) else name.rpartition("#")[0]
         if track and drive != before:
             tracker, last = localizer.tracker(), _UNKNOWN
@@ -175,7 +177,7 @@ def read_odometry(table: str | Path) -> dict[str, NDArray[np.float64]]:
 
 
 def pictures(
-    images: str | Path | Sequence[str | Path], on_error: Policy = "skip"
+    images: str | Path | Sequence[str | Path], on_error: Policy = "skip", second: tuple[str, str] | None = None
 ) -> Iterator[tuple[str, Path | NDArray[np.uint8] | UnreadableImageError, NamedPose | None]]:
     """Yield for each image its name, the image (a file, or pixels in RGB), and the pose in its name.
 
@@ -186,15 +188,21 @@ def pictures(
     Raises:
         ConfigError, DataError: as `locate_all`.
     """
-    for name, files in named(images):
+    for name, files in named(images, second):
         if files is None:
             yield from _live(name) if name.startswith(CAMERA) else _filmed(name, on_error)
         else:
             yield from ((str(path), path, parse_name(path.name)) for path in files)
 
 
-def named(images: str | Path | Sequence[str | Path]) -> list[tuple[str, list[Path] | None]]:
+def named(
+    images: str | Path | Sequence[str | Path], second: tuple[str, str] | None = None
+) -> list[tuple[str, list[Path] | None]]:
     """Return the image files in each named file or folder; None in place of a video or a camera.
+
+    Args:
+        images: as for `locate_all`.
+        second: as for `siamloc.data.image_files.image_files`.
 
     Raises:
         ConfigError: no names.
@@ -203,14 +211,14 @@ def named(images: str | Path | Sequence[str | Path]) -> list[tuple[str, list[Pat
     names = [expanded(one) for one in ([images] if isinstance(images, (str, Path)) else images)]
     if not names:
         raise ConfigError("no images given: name files, folders, videos or cameras, images=[a.jpeg,folder,camera:0]")
-    return [(str(name), _files(name)) for name in names]
+    return [(str(name), _files(name, second)) for name in names]
 
 
-def _files(path: Path) -> list[Path] | None:
+def _files(path: Path, second: tuple[str, str] | None) -> list[Path] | None:
     if str(path).startswith(CAMERA):
         return None
     if path.is_dir():
-        if not (files := image_files(path)):
+        if not (files := image_files(path, second)):
             raise DataError(f"{path} holds no images")
         return files
     if not path.is_file():

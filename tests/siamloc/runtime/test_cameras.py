@@ -244,6 +244,20 @@ def test_the_robot_gets_the_ring_that_the_drive_of_the_map_shows(tmp_path):
         known.check_images(library(tables[1], tmp_path, {"kind": "auto", "forward": 90.0}).preprocessing.parameters())
 
 
+def test_the_two_pictures_of_two_lenses_in_a_folder_are_located_together(frames, tmp_path):
+    export("hog", build("hog", library(frames, tmp_path, EquirectangularCamera()), frames), tmp_path / "bundle")
+    dual = DualFisheyeCamera(second=("front_", "back_"))
+    (tmp_path / "both").mkdir()
+    for place in range(3):
+        for name, half in zip(dual.second, np.hsplit(seen_by(dual, WHOLE, place), 2), strict=True):
+            cv2.imwrite(str(tmp_path / "both" / f"{name}{place}.png"), half)
+    (tmp_path / "both" / "front_0.png").unlink()  # its second picture is then shown to be alone
+    found = list(locate_all(Localizer(tmp_path / "bundle", camera=dual), tmp_path / "both"))
+    assert [Path(one.image).name for one in found] == ["back_0.png", "front_1.png", "front_2.png"]
+    assert "its name lacks what unwrap.second replaces" in found[0].fault
+    assert [one.location.x for one in found[1:]] == [1.0, 2.0]
+
+
 def test_the_tilt_of_each_frame_is_taken_out(frames, tmp_path):
     roll, pitch = 0.15, -0.1
     turn = cv2.Rodrigues(np.array([0, pitch, 0]))[0] @ cv2.Rodrigues(np.array([roll, 0, 0]))[0]
