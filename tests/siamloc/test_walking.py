@@ -157,6 +157,17 @@ def test_faults_of_the_pictures_are_said_first(mini, tmp_path):
     ]
 
 
+def test_a_camera_that_does_not_see_all_around_is_named_first(tmp_path):
+    pictures, said = tmp_path / "monday", []
+    pictures.mkdir()
+    for number in range(4):
+        cv2.imwrite(str(pictures / f"{START + number}.png"), np.full((80, 80, 3), 90, np.uint8))
+    with pytest.raises(DataError, match="key frames"):
+        siamloc.walk(pictures, tmp_path / "robot", say=said.append, unwrap={"kind": "fisheye", "fov": 190})
+    (note,) = (line for line in said if line.startswith("note: "))
+    assert note.startswith("note: the camera does not see 47% of a panorama from 30 to -45 degrees (in no row all ")
+
+
 pytestmark = pytest.mark.slow
 
 
