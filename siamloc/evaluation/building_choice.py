@@ -63,6 +63,7 @@ def buildings(
     if layers is not None:
         check_means(first, "leave the layers out, or use another descriptor")
     session = Session(first, images, queries, protocol="same_run", name=name)
+    session.skipped.pop("buildings", None)  # that they overlap matters to distances alone
     session.protocol = as_protocol(protocol)
     session.refuse_exclusion("the choice of a building")
     wanted = _known_buildings(session, list(candidates))

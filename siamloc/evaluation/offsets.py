@@ -63,7 +63,7 @@ def overlapping_buildings(*tables: FrameTable) -> str:
             return (
                 f"the positions of the buildings {one} and {other} overlap: unless they have a common origin, "
                 "distances between the two mean nothing, and floors, hits, true nodes and closures count them. Measure "
-                "each building by itself, or move one of them aside."
+                f"each by itself, by known.take(known.frames.building == {one!r}) in Python, or move one of them aside."
             )
     return ""
 

@@ -22,6 +22,12 @@ def test_buildings_that_lie_over_each_other_are_named(moved, tmp_path):
         evaluation.mapping(known, layer),
     )
     assert [said in result.table() for result in results] == [bool(moved)] * 3
+    both = tuesday.with_columns(building=np.where(tuesday.x > 15, "south", "north"))
+    choice = evaluation.buildings(known, images, both)  # which measures no distances
+    north = evaluation.localization(
+        known.take(known.frames.building == "north"), images, both.select(building="north")
+    )  # as the sentence says
+    assert [said in result.table() for result in (choice, north)] == [False, False]
 
 
 def test_matches_in_another_building_are_counted(tmp_path):
