@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from foundation.calls import typed
-from foundation.settings import leaves, within
+from foundation.files import real_path
+from foundation.settings import leaves, shortened, within
 from siamloc.comparable import doubts
 from siamloc.comparison import Comparison, differing, files_named, flat, without_own
 from siamloc.errors import ConfigError, FormatError, hint
@@ -57,6 +58,7 @@ def compare(folders: str | Path | Iterable[str | Path | Run], by: str | None = N
         16               correlation  0.2411  0.2411       0.76      0.84          0.9231  120      runs/robot/...
         8                euclidean    0.2633  0.2633       0.74      0.81          0.9231  120      runs/robot/...
     """
+    folders = folders if isinstance(folders, str | Path) else list(folders)
     paths = files_named(folders, "results.json")
     if not paths:
         where = folders if isinstance(folders, str | Path) else ", ".join(map(str, folders))
@@ -81,7 +83,11 @@ def compare(folders: str | Path | Iterable[str | Path | Run], by: str | None = N
     read = {path.parent.as_posix(): one for path, one in zip(paths, results, strict=True)}
     ranked = [row["folder"] for row in found.rows if not math.isnan(row[by])]
     notes = doubts({folder: (read[folder], {}) for folder in ranked}) if ranked else ()
-    return replace(found, notes=tuple(notes))
+    holding = {above for path in paths for above in real_path(path).parents}
+    runs = [record.parent for record in files_named(folders, "run.json")]
+    lacking = ", ".join(run.as_posix() for run in runs if real_path(run) not in holding)
+    left_out = [f"left out, since nothing was measured there: {shortened(lacking, 400)}"] if lacking else []
+    return replace(found, notes=(*notes, *left_out))
 
 
 def highest_is_best(measure: str) -> bool:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from foundation.calls import typed
 from foundation.files import real_path
+from foundation.settings import shortened
 from siamloc.comparison import Comparison, differing, files_named, flat, without_own
 from siamloc.errors import ConfigError, hint
 from siamloc.runs import Run, higher_is_better
@@ -17,6 +18,7 @@ _CHOSEN_BY = ("val/error", "val/room", "val/loss")
 _MEASURED = ("epoch", "finished", "run")
 # Only locations, or what follows from the rest.
 _LEFT_OUT = ("frames", "data.cache", "data.name", "model.image_size")
+_NAMED = 400  # characters of a note on runs
 _NAME = "name the folder of a sweep, such as runs/sweep"
 
 
@@ -61,7 +63,21 @@ def compare(runs: str | Path | Iterable[str | Path | Run], by: str | None = None
         {**{key: values.get(key) for key in names}, **_measured(run, curves.get(run.folder, {}), by)}
         for run, values in zip(found, settings, strict=True)
     ]
-    return Comparison(by, tuple(names), (by, *_MEASURED), tuple(rows), highest=higher_is_better(by)).in_order()
+    columns, notes = (by, *_MEASURED), tuple(_unfinished(rows, settings))
+    return Comparison(by, tuple(names), columns, tuple(rows), highest=higher_is_better(by), notes=notes).in_order()
+
+
+def _unfinished(rows: Iterable[Mapping[str, Any]], settings: Iterable[Mapping[str, Any]]) -> Iterator[str]:
+    """Name the runs that have fewer epochs than they were started for, unless something else could end them early."""
+    fewer = [
+        f"{row['run']} ({row['finished']} of {values['epochs']} epochs)"
+        for row, values in zip(rows, settings, strict=True)
+        if row["finished"] < values.get("epochs", 0)
+        and values.get("patience") is None
+        and values.get("trainer.max_steps", -1) == -1
+    ]
+    if fewer:
+        yield f"not finished, and may still change: {shortened(', '.join(fewer), _NAMED)}"
 
 
 def _opened(runs: str | Path | Iterable[str | Path | Run]) -> list[Run]:

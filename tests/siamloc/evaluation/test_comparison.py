@@ -127,6 +127,14 @@ def test_evaluations_without_the_measure_come_last(measured, tmp_path):
     assert len(found.plot().axes[0].lines[0].get_xdata()) == 1
 
 
+def test_runs_in_which_nothing_was_measured_are_named(measured, tmp_path):
+    for name in "ab":
+        Run(tmp_path / name).start({}, [])
+    write(measured, tmp_path / "a" / "evaluation" / "hog", 0.5)
+    left_out = f"left out, since nothing was measured there: {(tmp_path / 'b').as_posix()}"
+    assert compare(iter([tmp_path, tmp_path / "b"])).verdict().splitlines()[1:] == [left_out]
+
+
 def test_settings_of_a_task_without_the_measure_make_no_columns(measured, tmp_path):
     write(measured, tmp_path / "a", 0.9)
     other = replace(measured, parts={"compact": {"queries": 3}}, settings={"task": {"radius": 0.5}})

@@ -96,6 +96,17 @@ def test_a_run_without_a_figure_comes_last(tmp_path):
     assert [line.split() for line in found.table().splitlines()][1][:4] == ["1", "0.5", "2", "2"]
 
 
+def test_runs_that_have_not_finished_their_epochs_are_named(tmp_path):
+    for seed, finished in enumerate((3, 1, 2)):
+        run = make(tmp_path / f"{seed}", {"val/error": [0.9 - seed / 10] * finished}, seed=seed)
+        patience = 1 if seed == 2 else None  # which may have ended it
+        run.start({**run.settings, "training": {"seed": seed, "epochs": 3, "patience": patience}}, [])
+    one = (tmp_path / "1").as_posix()
+    assert compare(tmp_path).verdict().splitlines()[1:] == [
+        f"not finished, and may still change: {one} (1 of 3 epochs)"
+    ]
+
+
 def test_mistakes_are_named(tmp_path):
     for runs, says in (("nowhere", "is no folder nowhere: name"), (tmp_path, "no runs to"), ([], "compare: name")):
         with pytest.raises(ConfigError, match=says):
