@@ -217,17 +217,19 @@ def named(
 def _files(path: Path, second: tuple[str, str] | None) -> list[Path] | None:
     if str(path).startswith(CAMERA):
         return None
-    if path.is_dir():
-        if not (files := image_files(path, second)):
-            raise DataError(f"{path} holds no images")
+    folder = path.is_dir()
+    if folder and (files := image_files(path, second)):
         return files
-    if not path.is_file():
+    if not folder and not path.is_file():
         number = re.fullmatch(r"/dev/video(\d+)", str(path))
         there = f"the camera {path} is called {CAMERA}{number[1]} here" if number else f"there is no image {path}"
         raise DataError(there)
-    if path.suffix.lower() in BAGS:
+    endings = {ending.lower() for one in (path.iterdir() if folder else [path]) for ending in one.suffixes}
+    if endings.intersection(BAGS):  # also compressed, .db3.zstd
         command = f"siamloc prepare {as_words({'recording.file': path})}"
         raise DataError(f"{path} is a ROS bag: `{command}` writes its images into a folder")
+    if folder:
+        raise DataError(f"{path} holds no images")
     return None if path.suffix.lower() in VIDEOS else [path]
 
 

@@ -284,6 +284,7 @@ def test_an_empty_video_is_one_sentence_and_no_word_of_its_decoder(tmp_path):
         ("nowhere.png", "there is no image"),
         ("empty", "holds no images"),
         ("drive.bag", "is a ROS bag: `siamloc prepare recording.file=.*drive.bag` writes its images"),
+        ("monday", "monday is a ROS bag: `siamloc prepare recording.file=.*monday` writes its images"),
         ("camera:99", "camera:99 gives no image: check that it is plugged in"),
         ("camera:front", "is not a camera: give its number"),
     ],
@@ -291,6 +292,8 @@ def test_an_empty_video_is_one_sentence_and_no_word_of_its_decoder(tmp_path):
 def test_what_gives_no_images_is_said(bundle, tmp_path, name, says):
     (tmp_path / "empty").mkdir()
     (tmp_path / "drive.bag").touch()
+    (tmp_path / "monday").mkdir()
+    (tmp_path / "monday" / "monday_0.db3").touch()
     given = name if name.startswith("camera") else tmp_path / name
     with pytest.raises((ConfigError, DataError), match=says):
         list(locate_all(Localizer(bundle), given))
