@@ -163,7 +163,7 @@ def contents(file: str | Path, times: str | Path | None = None, second: tuple[st
         second: as for `extract`.
 
     Raises:
-        ConfigError: times of a recording that has times of its own.
+        ConfigError: times of a recording that has times of its own, or `second` of one that is no folder of pictures.
         DataError: the file does not exist, cannot be read, or is no recording.
     """
     with _opened(expanded(file), times, second) as source:
@@ -201,7 +201,7 @@ def extract(
         The frames of the manifest.
 
     Raises:
-        ConfigError: `poses` or `odometry` that is neither in the recording nor a file.
+        ConfigError: `poses` or `odometry` that is neither in the recording nor a file, or as for `contents`.
         DataError: a recording that cannot be read, without images, or whose poses are of another clock.
         StorageError: the disk is full or refuses.
     """
@@ -262,6 +262,11 @@ def _opened(
         return nullcontext(Pictures(path, expanded(times), second))
     if times is not None:
         raise ConfigError(f"{path} has times of its own: recording.times is for a folder of pictures")
+    if second is not None and (path.suffix.lower() in (*BAGS, *VIDEOS) or (path / METADATA).is_file()):
+        raise ConfigError(
+            f"{path} is no folder of pictures, for which unwrap.second is: extract the pictures of each lens (of a bag "
+            "by recording.images=TOPIC), put them into one folder as front_TIME and back_TIME, and take that instead"
+        )
     if path.suffix.lower() in VIDEOS:
         return Film(path)
     if path.suffix.lower() in BAGS or (path / METADATA).is_file():

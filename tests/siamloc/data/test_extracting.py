@@ -762,6 +762,12 @@ def test_the_second_pictures_of_two_lenses_go_with_the_first(tmp_path, name, par
         siamloc.data.extract(pictures, tmp_path / "one", second=parts[:1])
 
 
+def test_second_pictures_are_those_of_a_folder(tmp_path):
+    for recording in (film(tmp_path / "monday.avi"), drive(tmp_path / "tuesday", "sqlite3")):
+        with pytest.raises(ConfigError, match=r"is no folder of pictures, for which unwrap\.second is: extract"):
+            siamloc.data.contents(recording, second=("front_", "back_"))
+
+
 def test_a_list_of_times_may_name_both_pictures_of_two_lenses_and_a_damaged_second_one_is_taken_once_whole(tmp_path):
     pictures = written(tmp_path / "monday", [f"{part}_{number}.png" for number in (7, 8) for part in "ab"])
     rows = [f"{number}.5 {part}_{number}.png\n" for number in (7, 8) for part in "ab"]
