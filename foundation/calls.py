@@ -101,7 +101,7 @@ def _taking(function: Callable[..., Result], kind: type[Settings]) -> Callable[.
                 raise ConfigError(f"{called} has no setting {name!r}: {hint(name, named)}")
         if settings is not None and given:
             raise ConfigError(f"{called} takes settings=... or {', '.join(given)}, not both")
-        check(arguments, keywords)
+        arguments, keywords = check(arguments, keywords)
         chosen = kind.of(given) if settings is None else checked(settings, kind, "settings")
         return function(*arguments, settings=chosen, **keywords)
 
@@ -119,7 +119,7 @@ def _taking(function: Callable[..., Result], kind: type[Settings]) -> Callable[.
 def typed(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
     """Make a function or method refuse arguments that its annotations do not allow, before it does anything.
 
-    Arguments are passed on as given; nothing is converted.
+    Arguments are passed on as given, except that plain values for a group of settings become the group.
 
     Raises:
         ConfigError: from the call, naming the argument, what it should be, and what it is.
@@ -128,25 +128,31 @@ def typed(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
 
     @wraps(function)
     def call(*arguments: Arguments.args, **keywords: Arguments.kwargs) -> Result:
-        check(arguments, keywords)
-        return function(*arguments, **keywords)
+        given, named = check(arguments, keywords)
+        return function(*given, **named)
 
     return call
 
 
-def _check_of(function: Callable[..., Any]) -> Callable[[Sequence[Any], Mapping[str, Any]], None]:
-    """Return the function that checks the arguments of a call; missing and unknown arguments are left to Python."""
+def _check_of(function: Callable[..., Any]) -> Callable[[tuple[Any, ...], dict[str, Any]], Any]:
+    """Return the function that checks the arguments of a call, and returns them with groups made of plain values.
+
+    Missing and unknown arguments are left to Python.
+    """
     signature = inspect.signature(function)
     kinds = cache(partial(kinds_of, function))
 
-    def check(arguments: Sequence[Any], keywords: Mapping[str, Any]) -> None:
+    def check(arguments: tuple[Any, ...], keywords: dict[str, Any]) -> tuple[tuple[Any, ...], dict[str, Any]]:
         try:
-            given = signature.bind_partial(*arguments, **keywords).arguments
+            given = signature.bind_partial(*arguments, **keywords)
         except TypeError:
-            return
-        for name, value in given.items():
+            return arguments, keywords
+        for name, value in given.arguments.items():
             if name in kinds() and value is not signature.parameters[name].default:
-                checked(value, kinds()[name], name)
+                fitting = checked(value, kinds()[name], name)
+                if isinstance(fitting, Settings):
+                    given.arguments[name] = fitting
+        return given.args, given.kwargs
 
     return check
 

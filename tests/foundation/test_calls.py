@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
@@ -16,7 +17,7 @@ from benchmarks.torture import STRANGE, outcome_of
 from benchmarks.torture_calls import call_cases, public_calls
 from foundation.calls import typed
 from foundation.errors import ConfigError
-from foundation.settings import Count
+from foundation.settings import Count, Settings
 from siamloc.data import FrameTable
 
 if TYPE_CHECKING:
@@ -78,6 +79,23 @@ def test_what_the_annotations_allow_passes():
 def test_what_they_do_not_allow_is_refused(given, says):
     with pytest.raises(ConfigError, match=says):
         called(**given)
+
+
+@dataclass(frozen=True)
+class Group(Settings):
+    k: Count = 1
+
+
+def test_plain_values_become_the_group_of_settings_that_a_call_takes():
+    @typed
+    def k_of(group: Group | None = None, *, other: Group | None = None) -> list[int]:
+        return [one.k for one in (group, other) if one is not None]
+
+    assert k_of({"k": 2}) == k_of(Group(2)) == [2]
+    assert k_of(group={"k": 2}, other={"k": 3}) == k_of({"k": 2}, other=Group(3)) == [2, 3]
+    assert k_of(other={"k": 3}) == [3]
+    with pytest.raises(ConfigError, match="unknown key kk"):
+        k_of({"kk": 2})
 
 
 def test_public_calls_refuse_nonsense():
