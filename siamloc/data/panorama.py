@@ -310,7 +310,18 @@ _cached_tables = lru_cache(maxsize=8)(_tables)
 def _tables_for(
     camera: OmnidirectionalCamera, view: PanoramaView, image_size: tuple[int, int]
 ) -> tuple[Array, Array, Array, tuple[int, int]]:
-    """Return the tables of a view, kept from picture to picture unless it is tilted: every tilt has its own."""
+    """Return the tables of a view, kept from picture to picture unless it is tilted: every tilt has its own.
+
+    Raises:
+        ConfigError: a camera by which tables cannot be kept.
+    """
+    try:
+        hash(camera)
+    except TypeError as error:
+        raise ConfigError(
+            f"{type(camera).__name__} cannot be told from other cameras ({error}): make it a frozen dataclass with "
+            "plain values, tuples instead of lists and arrays"
+        ) from error
     tables = _cached_tables if type(view) is PanoramaView else _tables
     return tables(camera, view, image_size)
 

@@ -208,6 +208,27 @@ def test_a_camera_of_ones_own_that_samples_in_another_shape_is_refused(returned,
             call()
 
 
+def test_a_camera_of_ones_own_without_plain_values_is_refused():
+    @dataclass(frozen=True)
+    class Own:
+        values: object = ()
+
+        def sampling(self, view, image_size):
+            return PolarRing().sampling(view, image_size)
+
+    image = np.zeros((480, 640), np.uint8)
+    assert unwrap(image, Own((1.0, 2.0))).shape == (128, 512)
+
+    @dataclass
+    class Changing:
+        sampling = Own.sampling
+
+    for camera in (Own([1.0, 2.0]), Own(np.ones(2)), Changing()):
+        name = type(camera).__name__
+        with pytest.raises(ConfigError, match=rf"{name} cannot be told .*unhashable.*: make it a frozen dataclass"):
+            unwrap(image, camera)
+
+
 def test_a_camera_of_ones_own_that_samples_only_one_size_is_refused():
     @dataclass(frozen=True)
     class Own:
