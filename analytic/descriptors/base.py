@@ -28,13 +28,14 @@ Cells = Annotated[int, Rule("a whole number from 1 to 16,384", lambda value: 1 <
 Several = Annotated[int, Rule("a whole number from 2 to 16,384", lambda value: 2 <= value <= 16_384)]
 """`Cells` of which at least two are needed."""
 _NUMBERS = 1 << 24  # limit for the description of one image
+_ROUNDING = 0.05  # share of its length by which a descriptor may differ from batch to batch, if a network computes it
 
 
 class Descriptor(ABC):
     """A way of turning panoramas into vectors; subclass it to use your own in maps, tasks and the mapper.
 
-    A subclass sets `name` and defines `identity` and `describe`. Descriptions with an orientation part then also give
-    headings.
+    A subclass sets `name` and defines `identity` and `describe`, which describes each image of a batch by itself; maps
+    check this for a few images. Descriptions with an orientation part then also give headings.
 
     Attributes:
         name: the name used in configurations and files.
@@ -177,6 +178,27 @@ def description_of(by: Descriptor, batch: ArrayLike) -> Description:
     if made.identity is not None and plain(made.identity) != plain(by.identity):
         raise AnalyticError(f"`describe` of {by.name} returns the identity {made.identity} instead of {by.identity}")
     return made
+
+
+def check_repeatable(by: Descriptor, images: NDArray[np.uint8]) -> None:
+    """Check that a descriptor gives an image the same position part again, and among other images.
+
+    Args:
+        by: the descriptor, which may be the user's own.
+        images: (B, 3, H, W); the first is described alone.
+
+    Raises:
+        AnalyticError: position parts that differ by more than rounding.
+    """
+    among, alone, again = (
+        description_of(by, batch).position[0].astype(np.complex128) for batch in (images, images[:1], images[:1])
+    )
+    for other, when in ((again, "it is described again"), (among, "other images are in its batch")):
+        if alone.shape != other.shape or np.linalg.norm(alone - other) > _ROUNDING * np.linalg.norm(alone) + 1e-6:
+            raise AnalyticError(
+                f"`describe` of {by.name} gives an image another descriptor when {when}: compute each row from its "
+                "image alone, without chance and without statistics along axis 0, the images of the batch"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

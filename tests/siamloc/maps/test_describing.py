@@ -115,8 +115,8 @@ def test_what_cannot_be_built(images, tmp_path):
     [
         (lambda values: values, "must return an analytic.Description, got ndarray"),
         (lambda values: Description(values.tolist()), r"an array \(B, D\) as position, .* got list"),
-        (lambda values: Description(values[:1]), r"one row for each of 6 images, got \(1, 3\)"),
-        (lambda values: Description(values, values), r"an array \(B, K, F\) as orientation, .* got \(6, 3\)"),
+        (lambda values: Description(values[:1]), r"one row for each of 3 images, got \(1, 3\)"),
+        (lambda values: Description(values, values), r"an array \(B, K, F\) as orientation, .* got \(3, 3\)"),
         (
             lambda values: Description(values, None, {"name": "own", "bands": 8}),
             "returns the identity .*'bands': 8.* instead of",
@@ -136,6 +136,27 @@ def test_a_descriptor_of_ones_own_that_returns_something_else_is_named(images, r
         build(Own(), library, frames, progress=False)
     with pytest.raises(ConfigError, match="`describe` of own"):
         build([Own(), "hsv"], library, frames, progress=False)
+
+
+@pytest.mark.parametrize(
+    ("change", "when"),
+    [
+        (lambda values: values - values.mean(axis=0), "other images are in its batch"),
+        (lambda values: values * np.random.default_rng().random(), "it is described again"),
+    ],
+)
+def test_a_descriptor_of_ones_own_that_depends_on_more_than_the_image_is_refused(images, change, when):
+    class Own(analytic.Descriptor):
+        name = "own"
+        identity = {"name": "own"}  # noqa: RUF012
+
+        def describe(self, batch):
+            return Description(change(batch.mean(axis=(2, 3))))
+
+    frames, library = images
+    for described_by in (Own(), [Own(), "hsv"]):
+        with pytest.raises(analytic.AnalyticError, match=f"`describe` of own gives an image another .* when {when}"):
+            build(described_by, library, frames, progress=False)
 
 
 @pytest.mark.parametrize(
