@@ -83,7 +83,8 @@ class PairDataModule(EpochDataModule):
 
     The training pairs of an epoch follow from the seed and the number of the epoch, so that a resumed run sees the same
     pairs as an uninterrupted one. With several processes each gets its own share, all of the same length. Works with
-    any `Trainer`.
+    any `Trainer`; in a training loop without one, `on_after_batch_transfer(batch, 0)` makes what a `SiameseModule`
+    takes of each batch of the loaders.
 
     Args:
         library: decoded panoramas of all frames.

@@ -80,7 +80,8 @@ class PlaceDataModule(EpochDataModule):
     """Serve batches of places to a `PlaceModule`.
 
     The batches of an epoch follow from the seed and the number of the epoch, so that a resumed run sees the same
-    batches as an uninterrupted run. Works with any `Trainer`.
+    batches as an uninterrupted run. Works with any `Trainer`; in a training loop without one,
+    `on_after_batch_transfer(batch, 0)` augments the batches of an augmentation with where="gpu".
 
     Args:
         library: decoded panoramas of all frames.

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from torch import nn
 
 import augment
 from augment.torchvision_compat import ensure_torchvision
@@ -11,6 +12,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import PairSampler, PairSettings
 from siamloc.errors import ConfigError
+from siamloc.models.siamese import SiameseModule
 from siamloc.training.batches import BatchAugmentation, Panoramas
 from siamloc.training.pair_batches import PairBatches, PairDataModule
 from tests.siamloc.models.conftest import trainer
@@ -122,6 +124,17 @@ def test_validation_pairs_share_label_and_scale(library):
     first, second = torch.tensor(grey(batch["images"])).chunk(2)
     expected = torch.where(batch["same"], (first - second).abs() / data.sampler.scale, 1).clamp(max=1)
     torch.testing.assert_close(batch["label"], expected.float())
+
+
+@pytest.mark.parametrize("where", ["cpu", "gpu"])
+def test_a_training_loop_without_a_trainer(library, where):
+    augmentation = BatchAugmentation(augment.policy("thesis"), where, seed=0)
+    data = PairDataModule(library, library.frames, pairs=ROOM, batch_size=4, augmentation=augmentation)
+    module = SiameseModule(nn.Sequential(nn.AdaptiveAvgPool2d(2), nn.Flatten(), nn.Linear(12, 2)))
+    for batch in data.train_dataloader():
+        loss = module.training_step(data.on_after_batch_transfer(batch, 0), 0)
+        loss.backward()
+    assert module.network[2].weight.grad.any()
 
 
 def trained_on(library, where="cpu", rank=0, world_size=1, epoch=0, batch_size=4):
