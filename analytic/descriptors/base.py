@@ -180,16 +180,20 @@ def description_of(by: Descriptor, batch: ArrayLike) -> Description:
     return made
 
 
-def check_repeatable(by: Descriptor, images: NDArray[np.uint8]) -> None:
-    """Check that a descriptor gives an image the same position part again, and among other images.
+def check_own(by: Descriptor, images: NDArray[np.uint8]) -> None:
+    """Check that a descriptor of the user's own gives an image the same position part again, and among other images.
 
     Args:
-        by: the descriptor, which may be the user's own.
+        by: the descriptor.
         images: (B, 3, H, W); the first is described alone.
 
     Raises:
-        AnalyticError: position parts that differ by more than rounding.
+        AnalyticError: an identity that is no dictionary, or position parts that differ by more than rounding.
     """
+    if not isinstance(by.identity, dict):
+        raise AnalyticError(
+            f"`identity` of {by.name} must be a dictionary, such as {{'name': {by.name!r}}}, got {by.identity!r}"
+        )
     among, alone, again = (
         description_of(by, batch).position[0].astype(np.complex128) for batch in (images, images[:1], images[:1])
     )

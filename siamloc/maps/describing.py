@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analytic import DESCRIPTORS, Description, Descriptor, Fused, descriptor
-from analytic.descriptors.base import check_repeatable
+from analytic.descriptors.base import check_own
 from analytic.descriptors.fused import distinct
 from foundation.calls import typed
 from foundation.errors import known
@@ -71,7 +71,8 @@ def build(
     Raises:
         ConfigError: an unknown name, distance or device, descriptors that do not work together, or validation frames
             from the map's drives.
-        AnalyticError: a descriptor of the user's own that depends on chance, or on the other images of a batch.
+        AnalyticError: a descriptor of the user's own whose identity is no dictionary, or whose descriptions depend on
+            chance or on the other images of a batch.
         DataError: no image can be read, descriptors are not finite, or positions of validation frames in another unit.
 
     Example:
@@ -107,7 +108,7 @@ def build(
     for part in by.parts.values() if isinstance(by, Fused) else (by,):
         if type(part).__module__.partition(".")[0] not in ("analytic", "siamloc"):  # a descriptor of the user's own
             some = readable.take(np.unique([0, len(readable) // 2, len(readable) - 1]))
-            check_repeatable(part, images.batch(images.rows(some)))
+            check_own(part, images.batch(images.rows(some)))
     if isinstance(by, Fused) and not by.complete:
         validation = validation if by.weights is None else None
         check_apart(readable, validation)

@@ -44,7 +44,8 @@ def check_repeatable(describes: Callable[[Tensor], tuple[Tensor, ...]], image: T
         image: (1, 3, H, W), in [0, 1].
 
     Raises:
-        DataError: descriptors that differ by more than rounding, or a network that takes either one image or several.
+        DataError: descriptors that differ by more than rounding, or a network that does not take the images, or takes
+            either one image or several.
     """
     several = torch.cat([image, image / 4, torch.zeros_like(image)])  # of other contrast, as statistics would tell
 
@@ -59,7 +60,8 @@ def check_repeatable(describes: Callable[[Tensor], tuple[Tensor, ...]], image: T
         try:
             of_the_image(several)
         except Exception:
-            raise error from None
+            size = " x ".join(map(str, image.shape[1:]))
+            raise DataError(f"the network cannot take panoramas of {size}: {in_one_line(error)}") from error
         raise DataError(
             f"the network describes several images together but not one alone ({in_one_line(error)}), as a robot "
             "does: use no statistics of the batch in evaluation mode, such as those of track_running_stats=False"

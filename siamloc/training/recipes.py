@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,7 +12,7 @@ from foundation.calls import typed
 from foundation.errors import known
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
-from siamloc.errors import ConfigError
+from siamloc.errors import ConfigError, check_known
 from siamloc.runs import Run
 
 if TYPE_CHECKING:
@@ -45,10 +46,16 @@ class Recipe:
     summary: str = ""
 
     def build(self, image_size: Sequence[int] | None = None, seed: int = 0, **changes: Any) -> Network:
-        """Make the network, optionally for panoramas of another size; see `siamloc.models.build`."""
+        """Make the network, optionally for panoramas of another size; see `siamloc.models.build`.
+
+        Raises:
+            ConfigError: as `siamloc.models.build`; also arguments that it does not have.
+        """
         from siamloc.models import build
 
-        return build(**{**self.model, "image_size": image_size or self.image_size, "seed": seed, **changes})
+        arguments = {**self.model, "image_size": image_size or self.image_size, "seed": seed, **changes}
+        check_known(arguments, inspect.signature(build).parameters, "model")
+        return build(**arguments)
 
     def fit(
         self,

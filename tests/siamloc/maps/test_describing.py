@@ -138,6 +138,19 @@ def test_a_descriptor_of_ones_own_that_returns_something_else_is_named(images, r
         build([Own(), "hsv"], library, frames, progress=False)
 
 
+def test_an_identity_that_is_no_dictionary_is_refused(images):
+    class Own(analytic.Descriptor):
+        name = "own"
+        identity = "own"
+
+        def describe(self, batch):
+            return Description(batch.mean(axis=(2, 3)))
+
+    frames, library = images
+    with pytest.raises(analytic.AnalyticError, match=r"`identity` of own must be a dictionary, .* got 'own'"):
+        build(Own(), library, frames, progress=False)
+
+
 @pytest.mark.parametrize(
     ("change", "when"),
     [

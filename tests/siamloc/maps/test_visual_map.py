@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 import analytic
 from siamloc.data.frames import FrameTable
@@ -107,6 +108,14 @@ def test_a_map_without_frames_or_positions_says_so() -> None:
     assert len(make_map().placed()) == 5
     with pytest.raises(DataError, match="no map frame has a position"):
         VisualMap([[1.0]], FrameTable(path=["a.png"])).placed()
+
+
+def test_a_map_of_a_tensor_keeps_its_values() -> None:
+    vectors = torch.ones(6, 3, requires_grad=True)
+    known = VisualMap(vectors, make_map().frames)
+    with torch.no_grad():
+        vectors += 1
+    assert (known.descriptors == 1).all()
 
 
 @pytest.mark.parametrize(

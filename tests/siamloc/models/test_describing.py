@@ -174,6 +174,12 @@ def test_noise_tells_whether_a_network_takes_images_alone(layers, message):
         as_descriptor(module, "cpu").describe(torch.rand(1, 3, 16, 32))
 
 
+def test_a_network_that_fails_on_panoramas_is_named():
+    module = nn.Sequential(nn.Flatten(), nn.Linear(7, 3))
+    with pytest.raises(DataError, match="the network cannot take panoramas of 3 x 16 x 32: RuntimeError: mat1"):
+        as_descriptor(module, "cpu").describe(torch.rand(2, 3, 16, 32))
+
+
 def test_the_rounding_of_other_kernels_is_no_dependence_on_the_batch():
     class Rounded(Own):
         def forward(self, panorama):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 import siamloc
@@ -49,6 +51,12 @@ def test_a_network_that_should_wrap_around_is_not_changed_in_silence():
 def test_the_command_line_has_every_loss_over_batches(name):
     words = ["pairs=in_batch", f"loss={name}", "data=manifest", "data.manifest=frames.csv"]
     assert composed("train", words).make_loss().settings == make_loss(name).settings
+
+
+def test_an_argument_that_networks_do_not_have_is_refused():
+    own = replace(recipe("modern"), model={"branch": "panoresnet", "hed": "gem"})
+    with pytest.raises(ConfigError, match=r"unknown configuration key 'model.hed': did you mean 'model.head'"):
+        own.build()
 
 
 def test_a_recipe_of_another_name_is_refused():
