@@ -85,10 +85,17 @@ def check_loss(loss: Loss | BatchLoss | None, arguments: int) -> None:
         arguments: 3 for a loss of pairs, (d0, d1, y), and 2 for a loss of batches of places, (descriptors, origins).
 
     Raises:
-        ConfigError: the loss takes other arguments.
+        ConfigError: a class, a loss of torch, or a loss that takes other arguments.
     """
     if loss is None:
         return
+    if isinstance(loss, type):
+        raise ConfigError(f"the loss {name_of(loss)} is a class: make an object of it, {name_of(loss)}()")
+    if type(loss).__module__ == nn.modules.loss.__name__:
+        raise ConfigError(
+            f"the loss {name_of(loss)} of torch takes other targets than the labels of pairs, 0 for alike to 1, or the "
+            "origins of a batch: write a function that calls it"
+        )
     try:
         called = loss.forward if isinstance(loss, nn.Module) else loss
         inspect.signature(called).bind(*[None] * arguments)
