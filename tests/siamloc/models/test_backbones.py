@@ -313,6 +313,21 @@ def test_a_module_that_is_handed_in_is_loaded_into_another():
         build(nn.Linear(5, 5), "gem", SIZE)
 
 
+def test_positions_that_are_still_zero_are_positions():
+    class Placed(nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.layer, self.positions = nn.Conv2d(3, 8, 8, 8), nn.Parameter(torch.zeros(1, 4 * 16, 8))
+
+        def forward(self, images):
+            found = self.layer(images)
+            return (found.flatten(2).mT + self.positions).mT.reshape(found.shape)
+
+    assert build(Placed(), "gem", SIZE).grid == (4, 16)
+    with pytest.raises(ConfigError, match=r"the columns cannot wrap around in .*Placed"):
+        build(Placed(), "gem", SIZE, circular=True)
+
+
 def test_a_module_that_is_handed_in_is_saved_with_the_arguments_of_its_network(tmp_path):
     network = build(own(), "gem", SIZE, circular=True, normalize="image")
     assert {
