@@ -215,6 +215,10 @@ def test_options_of_ones_own_are_files_in_a_folder_as_the_guide_says(tmp_path, m
     monkeypatch.chdir(tmp_path)
     done(*shlex.split(command), "data.manifest=x", "--cfg", "job")
     assert "- monday" in capsys.readouterr().out
+    done(*shlex.split(command), "data.manifest=x", "protocol.map.every=5", "--cfg", "job")  # not in the file
+    assert "every: 5" in capsys.readouterr().out
+    said = refused(capsys, *shlex.split(command), "data.manifest=x", "protocol.map.evry=5")
+    assert "protocol.map: unknown key evry: did you mean 'every'?" in said
 
 
 @given(st.text("ab1 \\\"'${}[](),:=é가\u0301", min_size=1))
