@@ -344,7 +344,8 @@ def _camera(kind: str, options: Mapping[str, Any]) -> OmnidirectionalCamera | No
     if (own := _imported(kind)) is None:
         raise ConfigError(
             f"the camera {kind} is a class of your own: import the module {kind.partition(':')[0]} first, which must "
-            "have this dataclass with a method `sampling`, or give the camera object itself"
+            "have this dataclass with a method `sampling`, or give the camera object itself; a command imports it by "
+            f"unwrap.kind={kind}"
         )
     try:
         return cast("OmnidirectionalCamera", own(**{key: _hashable(value) for key, value in options.items()}))

@@ -114,9 +114,7 @@ class Export(RunJob):
 
     def _further_steps(self, known: VisualMap, errors: ErrorModel | None, refinement: Refinement | None) -> list[str]:
         """Return lines that say what else could be exported for the robot."""
-        label, lines = self.descriptor.title, []
-        folder, which = self.here.evaluation(label), {} if label == "network" else {"descriptor": label}
-        named = as_words({"run": str(self.here.folder), **which, **self.model.branch.own})
+        folder, named, lines = self.here.evaluation(self.descriptor.title), as_words(self.named), []
         none = known.orientation is None and np.isfinite(known.frames.theta).any()
         if none and known.made.get("data", {}).get("circular", True):
             heading = "" if known.descriptor.tells_heading else " heading=hog"

@@ -15,9 +15,8 @@ from foundation.settings import defaults_of
 from foundation.words import as_words
 from siamloc import maps
 from siamloc.errors import ConfigError
-from siamloc.jobs.choices import OF_A_RUN, Choice
 from siamloc.jobs.job import Given, Say, quiet
-from siamloc.jobs.options import choices, is_fused, option
+from siamloc.jobs.options import words_of
 from siamloc.jobs.run_job import RunJob, files_in
 from siamloc.jobs.stored import map_places, titles_of
 from siamloc.jobs.sweep import swept
@@ -150,7 +149,7 @@ class MapFrames(RunJob):
             if (built := over.pop(folder, None)) is None:
                 # `siamloc map` makes the map as well, and would lose what updates changed
                 command, task = ("evaluate", {"task": "mapping"}) if UPKEEP in known.made else ("map", {})
-                words = as_words({"run": self.here.folder, "descriptor": label, "build": self.build.title, **task})
+                words = as_words({**self.named, "build": self.build.title, **task})
                 raise ConfigError(f"{folder} has no nodes over the map {path}: `siamloc {command} {words}` makes them")
             if (folder / "mapper.npz").is_file():
                 mapper = IncrementalMapper.load(folder / "mapper.npz", known.descriptor, extend=True)
@@ -198,21 +197,11 @@ class MapFrames(RunJob):
 
     def _say_next(self, say: Say, command: str, more: Mapping[str, Any], task: str = "hierarchical") -> None:
         """Say which command goes on with the map, with more settings; with nodes, the task is named."""
-        further = {} if self.descriptor.name in OF_A_RUN else _words("descriptor", self.descriptor)
+        further: dict[str, Any] = {}
         if self.build.name != "none":
-            further |= {
+            further = {
                 "task": task,
-                **_words("build", self.build),
+                **words_of("build", self.build),
                 **({"seed": self.seed} if self.seed else {}),
             }
-        shown = {"run": str(self.here.folder), **self.model.branch.own, **more, **further}
-        say(f"next: siamloc {command} {as_words(shown)}")
-
-
-def _words(group: str, chosen: Choice) -> dict[str, Any]:
-    """Return the keys that choose an option again: its name, and the parameters that differ from the option's."""
-    title = chosen.title
-    named = title in choices(group) or is_fused(title)
-    word = {group: title} if named else {group: chosen.name, f"+{group}.label": title}
-    usual = option(group, title if named else chosen.name).values
-    return word | {f"{group}.{key}": value for key, value in chosen.parameters.items() if value != usual.get(key)}
+        say(f"next: siamloc {command} {as_words({**self.named, **more, **further})}")

@@ -18,7 +18,7 @@ from analytic.descriptors.fused import SIGN, distinct
 from foundation.errors import not_yaml
 from foundation.settings import complaint, defaults_of, merged
 from siamloc.errors import ConfigError, hint
-from siamloc.jobs.choices import Frozen, Fusion, parameters_of
+from siamloc.jobs.choices import Choice, Frozen, Fusion, parameters_of
 from siamloc.models.registry import is_backbone
 
 
@@ -256,3 +256,12 @@ def option(group: str, name: str) -> Option:
             else:  # such as "override /unwrap@_global_.unwrap"
                 chooses[words.removeprefix("override /").partition("@")[0]] = chosen
     return Option(merged(values, own), "", chooses)
+
+
+def words_of(group: str, chosen: Choice) -> dict[str, Any]:
+    """Return the keys that choose an option again: its name, and the parameters that differ from the option's."""
+    title = chosen.title
+    named = title in choices(group) or is_fused(title)
+    word = {group: title} if named else {group: chosen.name, f"+{group}.label": title}
+    usual = option(group, title if named else chosen.name).values
+    return word | {f"{group}.{key}": value for key, value in chosen.parameters.items() if value != usual.get(key)}

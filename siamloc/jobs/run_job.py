@@ -23,7 +23,7 @@ from siamloc.data.reading import DataSettings
 from siamloc.errors import ConfigError
 from siamloc.jobs.choices import OF_A_RUN, Build, DescriptorChoice, Device, Folder, Frozen, Heading, Model, names_in
 from siamloc.jobs.job import Given, Job, Say
-from siamloc.jobs.options import option
+from siamloc.jobs.options import option, words_of
 from siamloc.jobs.stored import descriptor_of, only_map, with_settings_of_the_run
 from siamloc.jobs.sweep import of_layer, own_folder
 from siamloc.models.registry import PRETRAINED_SIZE
@@ -68,6 +68,12 @@ class DataJob(Job):
     def preprocessing(self) -> Preprocessing:
         """How images become panoramas."""
         return Preprocessing.checked(self.data.image_size, self.unwrap)
+
+    @property
+    def own_camera(self) -> dict[str, str]:
+        """The setting that further commands need for a camera of your own, since files import no code."""
+        kind = str(self.unwrap.get("kind"))
+        return {"unwrap.kind": kind} if ":" in kind else {}
 
     def open_roles(self, *names: str, known: VisualMap | None = None) -> tuple[PanoramaLibrary, dict[str, FrameTable]]:
         """Open the panoramas for some roles of the protocol; also return the readable frames of each role.
@@ -167,6 +173,13 @@ class RunJob(DataJob):
         if self.folder is not None:
             return Run(Path(self.folder))
         return Run(Path("runs") / (self.data.name or "data") / self.descriptor.title)
+
+    @property
+    def named(self) -> dict[str, Any]:
+        """The settings by which further commands find the map of the job: its run, descriptor and code of your own."""
+        described = words_of("descriptor", self.descriptor)
+        chosen = {} if described == {"descriptor": "network"} else described
+        return {"run": str(self.here.folder), **chosen, **self.own_camera, **self.model.branch.own}
 
     def layer_folder(self, label: str) -> Path:
         """Return the folder of the coarse layer over the map with this label."""

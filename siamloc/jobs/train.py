@@ -177,7 +177,7 @@ class Train(_Training, DataJob):
         drives: dict[str, Any] = {"validation": roles.get("validation"), "protocol": self.protocol.plain()}
         run = training.fit(network, images, roles["train"], **drives, **common)
         if process_rank() == 0:
-            say(f"next: siamloc map {as_words({'run': str(run.folder), **self.model.branch.own})}")
+            say(f"next: siamloc map {as_words({'run': str(run.folder), **self.own_camera, **self.model.branch.own})}")
         return run
 
 

@@ -21,6 +21,25 @@ from tests.siamloc.cli.commands import QUICK, SMALL, done, main, measures, refus
 from tests.siamloc.report.pages import read_page
 
 SECOND = "protocol.query.sequences=[second]"
+OWN = """
+from dataclasses import dataclass
+
+import numpy as np
+from torch import nn
+
+
+def factory():
+    return nn.Conv2d(3, 8, 4, stride=4)
+
+
+@dataclass(frozen=True)
+class Camera:
+    shift: float = 0
+
+    def sampling(self, view, image_size):
+        rows, columns = np.mgrid[: image_size[0], : image_size[1]].astype(float)
+        return (columns + self.shift) % image_size[1], rows
+"""
 
 
 def test_the_job_leaves_what_each_command_promises(finished):
@@ -179,7 +198,7 @@ def test_the_command_after_a_map_keeps_its_nodes(words, tmp_path, capfd):
 
 
 def test_the_commands_that_an_export_proposes_work_as_printed(data, tmp_path, capsys):
-    own = ["descriptor=thumbnail", f"run={tmp_path / 'my run'}"]
+    own = ["descriptor=thumbnail", "descriptor.rows=16", f"run={tmp_path / 'my run'}"]
     done("map", *data, *own, "protocol.map.sequences=[first]")
     done("evaluate", *own, "protocol.query.sequences=[dark]", *QUICK)
     errors = "for expected errors, by drives with positions: siamloc evaluate "
@@ -196,23 +215,23 @@ def test_the_commands_that_an_export_proposes_work_as_printed(data, tmp_path, ca
     assert """'images=["photo.jpeg"]'""" in said
 
 
-def test_commands_for_a_network_of_ones_own_name_it_as_printed(data, tmp_path, capsys, monkeypatch):
-    code = "from torch import nn\n\n\ndef factory():\n    return nn.Conv2d(3, 8, 4, stride=4)\n"
-    (tmp_path / "siamloc_own_branch.py").write_text(code)
+def test_commands_for_a_network_and_a_camera_of_ones_own_name_them_as_printed(data, tmp_path, capsys, monkeypatch):
+    (tmp_path / "siamloc_own_branch.py").write_text(OWN)
     monkeypatch.syspath_prepend(tmp_path)
-    own = "model/branch=siamloc_own_branch:factory"
-    command = train(data, tmp_path / "run", "epochs=1", own, "model/head=gem", SECOND)
+    own, camera = "model/branch=siamloc_own_branch:factory", "unwrap.kind=siamloc_own_branch:Camera"
+    made = [own, "model/head=gem", "unwrap=own", camera, "+unwrap.shift=2"]
+    command = train(data, tmp_path / "run", "epochs=1", *made, SECOND)
     for follows in ("map", "evaluate", None):
         monkeypatch.delitem(sys.modules, "siamloc_own_branch", raising=False)  # the next command is another process
         done(*command, *(QUICK if command[0] == "evaluate" else []))
         if follows:
             command = shlex.split(capsys.readouterr().out.splitlines()[-1].removeprefix("next: siamloc "))
             assert command[0] == follows
-            assert own in command
-    done("export", f"run={tmp_path / 'run'}", own)
+            assert {own, camera} <= set(command)
+    done("export", f"run={tmp_path / 'run'}", own, camera)
     said = capsys.readouterr().out
     (proposed,) = (line for line in said.splitlines() if "task.error_model=true" in line)
-    assert f"evaluate run={tmp_path / 'run'} {own} " in proposed
+    assert f"evaluate run={tmp_path / 'run'} {camera} {own} " in proposed
 
 
 def test_the_choice_of_map_frames_is_handed_on_and_not_changed_in_silence(run, capsys):

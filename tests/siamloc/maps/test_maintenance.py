@@ -533,7 +533,7 @@ def test_the_command_takes_drives_together_and_in_tables_of_their_own(drives, tm
     again = refused(capsys, "map", *common, table("old"), "protocol.map.sequences=['*']")
     assert "holds what updates added and counted, which a new map would lose: move the file away first" in again
     refined = "task.refine=interpolate thumbnails=true"  # as the bundle has
-    assert said.splitlines()[-1] == f"next: siamloc export run={tmp_path / 'run'} {refined} descriptor=hog"
+    assert said.splitlines()[-1] == f"next: siamloc export run={tmp_path / 'run'} descriptor=hog {refined}"
     known = VisualMap.load(saved)
     assert known.history.joined.any()
     assert 0 < (~known.history.joined).sum() < FRAMES, "of those that it was made of, some were forgotten"

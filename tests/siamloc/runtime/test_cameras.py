@@ -124,7 +124,7 @@ def test_a_camera_that_no_name_leads_to_is_taken_as_the_object(frames, tmp_path)
     bundle = export("hog", known, tmp_path / "bundle", images=images)
     assert "camera.npz" in bundle.files
     assert Localizer(bundle.path).locate(frames.path[2]).x == 2.0
-    with pytest.raises(ConfigError, match=r"import the module .* first, .* or give the camera object itself"):
+    with pytest.raises(ConfigError, match=r"import the module .* first, .* object itself; a command .* unwrap\.kind="):
         export("hog", known, tmp_path / "other")
 
 
