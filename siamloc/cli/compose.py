@@ -342,6 +342,12 @@ def _explained(error: Exception, words: list[str], kind: type[Job]) -> Exception
         group, _, name = found[1].rpartition("/")
         if group == "hydra/launcher":
             return ConfigError(f"no launcher {name} is installed here: for joblib, {installing('sweeps')}")
+        group = next((one for one in groups() if found[1].startswith(f"{one}/")), group)
+        name = found[1].removeprefix(f"{group}/")
+        if name.endswith((".yaml", ".yml")):
+            return ConfigError(
+                f"{group}={name} names a file: FOLDER/{group}/NAME.yaml is {group}=NAME with --config-dir FOLDER"
+            )
         return ConfigError(f"unknown option {group}={name}: {hint(name, choices(group))}")
     return ConfigError(f"{text} (given: {' '.join(words)})")
 
