@@ -18,7 +18,7 @@ from foundation.files import expanded
 from foundation.settings import checked, merged
 from foundation.words import quoted, unquoted
 from siamloc.cli.help import job_of
-from siamloc.cli.overrides import flags_first, key_of, meant, only_of_others, together
+from siamloc.cli.overrides import flags_first, key_of, meant, only_of_others, own_folder, together
 from siamloc.cli.words import values_of
 from siamloc.errors import ConfigError, DataError, SiamlocError, check_known, hint, logger
 from siamloc.jobs.job import Given, Job, at, import_own
@@ -335,6 +335,8 @@ def _explained(error: Exception, words: list[str], kind: type[Job]) -> Exception
         key = found[1].lstrip("+~").partition("@")[0]
         if inside := [group for group in kind.GROUPS if group.startswith(f"{key}/")]:
             return ConfigError(f"{key} is a group of groups: choose {' or '.join(f'{one}=NAME' for one in inside)}")
+        if key in kind.key_names() and own_folder(words) is not None:
+            return ConfigError(f"{key} is no group of options: rename the folder {key} in that of --config-dir")
         added = f"; add other arguments of Lightning's Trainer with a plus: +{key}=..."
         more = added if key.startswith("trainer.") else ""
         return ConfigError(f"unknown configuration key {key!r}: {_nearest_key(key, kind, words)}{more}")

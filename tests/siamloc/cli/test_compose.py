@@ -230,6 +230,8 @@ def test_mistakes_with_options_of_ones_own_are_explained(tmp_path, capsys):
     train = ["train", *own, "data.manifest=x", "--cfg", "job"]
     file = folder / "augment/dim.yaml"
     assert f"augment={file} names a file: FOLDER/augment/NAME" in refused(capsys, *train, f"augment={file}")
+    said = refused(capsys, "simulate", *own, "building=mini", f"out={tmp_path}")
+    assert "building is no group of options: rename the folder building" in said
 
 
 @pytest.mark.parametrize("own", [{"effect": "noise"}, {"all_of": [{"policy": "lighting"}], "name": "dim"}])
