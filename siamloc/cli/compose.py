@@ -350,7 +350,9 @@ def _explained(error: Exception, words: list[str], kind: type[Job]) -> Exception
             return ConfigError(
                 f"{group}={name} names a file: FOLDER/{group}/NAME.yaml is {group}=NAME with --config-dir FOLDER"
             )
-        return ConfigError(f"unknown option {group}={name}: {hint(name, choices(group))}")
+        folder = own_folder(words)
+        own = [] if folder is None else [path.stem for path in (folder / group).glob("*.yaml")]
+        return ConfigError(f"unknown option {group}={name}: {hint(name, sorted({*choices(group), *own}))}")
     return ConfigError(f"{text} (given: {' '.join(words)})")
 
 

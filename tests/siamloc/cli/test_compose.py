@@ -228,6 +228,7 @@ def test_mistakes_with_options_of_ones_own_are_explained(tmp_path, capsys):
         (folder / f"{name}.yaml").write_text("effect: noise\n" if "dim" in name else "kind: cross_run\n")
     own = ["--config-dir", folder]
     train = ["train", *own, "data.manifest=x", "--cfg", "job"]
+    assert "unknown option protocol=mne: did you mean 'mine'?" in refused(capsys, *train, "protocol=mne")
     file = folder / "augment/dim.yaml"
     assert f"augment={file} names a file: FOLDER/augment/NAME" in refused(capsys, *train, f"augment={file}")
     said = refused(capsys, "simulate", *own, "building=mini", f"out={tmp_path}")
