@@ -337,8 +337,10 @@ def _explained(error: Exception, words: list[str], kind: type[Job]) -> Exception
             return ConfigError(f"{key} is a group of groups: choose {' or '.join(f'{one}=NAME' for one in inside)}")
         if key in kind.key_names() and own_folder(words) is not None:
             return ConfigError(f"{key} is no group of options: rename the folder {key} in that of --config-dir")
-        added = f"; add other arguments of Lightning's Trainer with a plus: +{key}=..."
-        more = added if key.startswith("trainer.") else ""
+        added = "other arguments of Lightning's Trainer" if key.startswith("trainer.") else ""
+        if key.startswith("unwrap.") and "unwrap=own" in words:
+            added = "parameters of a camera of your own"
+        more = f"; add {added} with a plus: +{key}=..." if added else ""
         return ConfigError(f"unknown configuration key {key!r}: {_nearest_key(key, kind, words)}{more}")
     if found := re.search(r"(?:Could not find|In '[^']*': Could not find) '([^']+)'", text):
         group, _, name = found[1].rpartition("/")

@@ -170,6 +170,9 @@ def test_other_arguments_of_the_trainer_are_added_with_a_plus():
         composed("train", words)
     config = composed("train", [*words[:2], f"+{words[2]}"])
     assert config.trainer.further == {"limit_train_batches": 3}
+    own = ["data.manifest=x", "unwrap=own", "unwrap.kind=siamloc.data.panorama:PolarRing", "unwrap.inner=3"]
+    with pytest.raises(ConfigError, match=r"a camera of your own with a plus: \+unwrap\.inner="):
+        composed("train", own)
 
 
 @pytest.mark.parametrize(
