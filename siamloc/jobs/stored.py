@@ -57,7 +57,7 @@ def with_settings_of_the_run(
         loaded: maps that have been read already, by their files.
 
     Raises:
-        ConfigError: an empty run name, or a folder that is not a run although its network is needed.
+        ConfigError: a folder that is not a run although its network is needed, or no data, neither given nor stored.
         FormatError: a run or a map of another version.
     """
     if not isinstance(values["run"], str) or not values["run"].strip():
@@ -93,6 +93,11 @@ def with_settings_of_the_run(
             _put(result, f"unwrap.{key}", edges[key])
     for key, value in said.items():
         _put(result, key, value)
+    if record.get("data") and "data" not in kept and at(result, "data.manifest") == "???":
+        raise ConfigError(
+            f"the frames of {trained.folder} came from Python, and its record names no files: say which to read, such "
+            "as data.manifest=robot.csv, or go on in Python"
+        )
     return result
 
 

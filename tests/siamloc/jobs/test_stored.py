@@ -54,6 +54,14 @@ def test_data_of_another_kind_replace_those_of_the_map(run):
     assert (same.data.where["manifest"], same.data.circular) == (Path("robot.csv"), False)
 
 
+def test_a_run_whose_frames_have_no_source_asks_for_data(run):
+    record(run, image_size=[16, 64])
+    chosen = {"run": run, "descriptor": {"name": "thumbnail"}}
+    with pytest.raises(ConfigError, match="came from Python, and its record names no files: say which to read"):
+        MapFrames.of(chosen)
+    assert MapFrames.of({**chosen, "data": {"manifest": "robot.csv"}}).data.where["manifest"] == Path("robot.csv")
+
+
 def test_a_map_that_was_made_of_other_data_than_its_run_is_searched_with_its_own(run):
     record(run, kind="manifest", manifest="training.csv")
     chosen = {"run": run, "descriptor": {"name": "thumbnail"}}
