@@ -119,7 +119,7 @@ class Run:
             ConfigError: another name, or no checkpoint yet.
         """
         if which not in _CHECKPOINTS:
-            raise ConfigError(f"checkpoint must be best or last, got {which!r}")
+            raise ConfigError(f"which must be best or last, got {which!r}")
         for name in _CHECKPOINTS[which]:
             path = self.checkpoints / f"{name}.ckpt"
             if path.is_file():

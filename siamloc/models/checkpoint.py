@@ -55,6 +55,8 @@ def load(run_or_checkpoint: str | Path | Run, *, which: str = "best", network: n
         >>> network = load("runs/robot")  # doctest: +SKIP
         >>> network = load("runs/own", network=MyNetwork())  # doctest: +SKIP
     """
+    if which not in ("best", "last", "untrained"):
+        raise ConfigError(f"which must be best, last or untrained, got {which!r}")
     path = _checkpoint_of(run_or_checkpoint, "best" if which == "untrained" else which)
     if path.suffix == ".safetensors":
         weights = read_weights(path)

@@ -92,8 +92,10 @@ def test_a_run_gives_its_best_checkpoint_or_the_last(trained, tmp_path):
     assert load(run, which="last").identity == module.network.identity
     with pytest.raises(FormatError, match=r"best\.ckpt"):
         load(run)
-    with pytest.raises(ConfigError, match="must be best or last, got 'first'"):
+    with pytest.raises(ConfigError, match=r"^which must be best, last or untrained, got 'first'"):
         load(run, which="first")
+    with pytest.raises(ConfigError, match=r"^which must be best or last, got 'untrained'"):
+        run.checkpoint("untrained")
     with pytest.raises(ConfigError, match="holds no checkpoint"):
         load(tmp_path)
 
