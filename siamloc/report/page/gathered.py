@@ -166,9 +166,10 @@ def _gather(folder: Path, title: str, named: Path) -> RunFiles:
     within = run_with(real_path(folder))
     run, top = (Run(folder), folder / "evaluation") if within is None else (within, folder)
     if not (found := _results(folder, top)):
-        raise ConfigError(
-            f"{folder} holds no evaluation: measure it first with `siamloc evaluate {as_words({'run': named})}`"
-        )
+        how = f"with `siamloc evaluate {as_words({'run': named})}`"
+        if run.record.is_file() and "class" in run.settings.get("model", {}):  # which only Python can load
+            how = "in Python, and keep it by result.save(run.evaluation('network'))"
+        raise ConfigError(f"{folder} holds no evaluation: measure it first {how}")
     folders = sorted((path.parent for path in found), key=lambda path: (path.name != "network", by_numbers(path)))
     own = read_survey(run.folder)
     evaluations = [_evaluation(one, own is not None) for one in folders]

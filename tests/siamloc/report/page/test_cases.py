@@ -159,6 +159,9 @@ def test_of_a_sweep_that_is_not_all_measured_the_report_advises_to_measure_the_s
         Run(tmp_path / "sweep" / f"seed-{number}").start({}, [])
     with pytest.raises(ConfigError, match=r"seed-1 holds no evaluation: .* run=\S+sweep`"):
         write_report(tmp_path / "sweep", tmp_path / "report.html")
+    Run(tmp_path / "own").start({"model": {"class": "my.Network"}}, [])
+    with pytest.raises(ConfigError, match=r"measure it first in Python, and keep it by result\.save"):
+        write_report(tmp_path / "own", tmp_path / "report.html")
 
 
 def test_runs_that_cannot_be_compared_are_marked(tmp_path: Path) -> None:
