@@ -28,7 +28,7 @@ from siamloc.data import (
     find_camera,
     read,
 )
-from siamloc.data.checks import wrong_sizes
+from siamloc.data.checks import unseen
 from siamloc.data.extracting import writes_camera
 from siamloc.data.manifest import manifest_of
 from siamloc.data.photo_sphere import stated
@@ -181,7 +181,7 @@ def walk(
     images = library(frames)
     shows_floor(images, settings.survey.height)  # or refuse the height before the long work
     readable = images.readable(frames)
-    for fault in (*wrong_sizes(readable, images), *drive_faults(readable, images)):
+    for fault in (*unseen(images), *drive_faults(readable, images)):
         say(f"note: {fault}")
     chosen = maps.key_frames(_NETWORK, images, frames, spacing=settings.spacing)
     say(f"key frames: {len(chosen)} of {len(images)}, each {settings.spacing:g} m or more from the last (spacing=)")

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.extras import need
+from siamloc.data.frames import METADATA
 from siamloc.data.image_files import UnreadableImageError, bits_used, cut_short
 from siamloc.data.trajectory import Trajectory, composed
 from siamloc.errors import DataError, SiamlocError, hint, logger
@@ -28,8 +29,6 @@ ODOMETRY = ("nav_msgs/msg/Odometry",)
 POSES = tuple(f"geometry_msgs/msg/{name}Stamped" for name in ("Pose", "PoseWithCovariance", "Transform"))
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 CALIBRATION = ("sensor_msgs/msg/CameraInfo",)
-METADATA = "metadata.yaml"
-"""The file in the folder of a ROS 2 bag that says which files belong to it, and how they are compressed."""
 KINDS = {
     **dict.fromkeys(IMAGES, "images"),
     **dict.fromkeys(ODOMETRY, "odometry"),
@@ -359,8 +358,8 @@ def proposed(topics: Mapping[str, tuple[str, int]], frames: Iterable[Edge]) -> d
     """Return the sources that a recording most likely means: "images", "poses" and "odometry", where there are any.
 
     Images of a camera for all directions come before others, and depth comes last. Poses are those of a topic that is
-    named after a source of true poses, else the robot in the frame "map" or "world", else AMCL's, which are the same
-    ones less often, else those of another topic with poses along a drive.
+    named after a source of true poses, else the robot in the frame "map", else AMCL's, which are mostly the same ones
+    less often, else the robot in the frame "world", else those of another topic with poses along a drive.
     """
     kinds = {name: KINDS.get(kind, "") for name, (kind, _) in topics.items()}
     counts = {name: count for name, (_, count) in topics.items() if count}
@@ -372,10 +371,9 @@ def proposed(topics: Mapping[str, tuple[str, int]], frames: Iterable[Edge]) -> d
         names = [name for name in counts if kinds[name] == kind]
         return sorted(names, key=lambda name: (not holds(name, words), -counts[name], name))
 
-    def below(*parents: str) -> list[str]:
+    def below(parent: str) -> list[str]:
         above = {lower: upper for upper, lower in frames}
-        nearest = [[f"{at}:{robot}" for at in _ancestors(robot, above)[1:] if at in parents][:1] for robot in _BASES]
-        return [name for names in nearest for name in names]
+        return [f"{parent}:{robot}" for robot in _BASES if parent in _ancestors(robot, above)[1:]]
 
     true = ("truth", "gt", "vicon", "mocap", "slam")
     poses = [name for name in best("poses", (*true, "pose")) if counts[name] >= _FEW]
@@ -385,7 +383,7 @@ def proposed(topics: Mapping[str, tuple[str, int]], frames: Iterable[Edge]) -> d
     images = best("images", ("omni", "360", "pano", "equirect", "fisheye", "theta"))
     candidates = {
         "images": sorted(images, key=lambda name: holds(name, _NOT_PICTURES)),
-        "poses": [*named, *below("map", "world"), *amcl, *poses, *(name for name in wheels if "truth" in name)],
+        "poses": [*named, *below("map"), *amcl, *below("world"), *poses, *(name for name in wheels if "truth" in name)],
         "odometry": [*(name for name in wheels if "truth" not in name), *below("odom")],
     }
     return {what: names[0] for what, names in candidates.items() if names}

@@ -71,7 +71,7 @@ def read_calibration(path: str | Path, camera: str | Sequence[str] | None = None
     if not chain:
         if camera is not None:
             raise ConfigError(f"{file} is of one camera: leave out camera={camera}")
-        of_euroc = "camera_model" in content and np.size(content.get("intrinsics", 0)) == 4
+        of_euroc = {"camera_model", "intrinsics", "resolution"} <= content.keys()
         form = _camodocal if "model_type" in content else _kalibr if of_euroc else _opencv
         kind, values = form(file, content)
         return kind.of({**values, **where})
@@ -128,13 +128,14 @@ def _several(file: Path, names: Iterable[str], doubt: str = "") -> ConfigError:
 def _kalibr(file: Path, values: Mapping[str, Any], name: str = "the camera") -> Made:
     """Return the model and the parameters of a camera of Kalibr, or of EuRoC, whose names are nearly the same."""
     model, distortion = str(values["camera_model"]), str(values.get("distortion_model", "none"))
-    numbers = _numbers(file, values.get("intrinsics"), f"{name}.intrinsics")
+    numbers = _numbers(file, values.get("intrinsics"), f"intrinsics of {name}")
     bent = _first(values, "distortion_coeffs", "distortion_coefficients") or []
-    bent = _numbers(file, bent, f"{name}.distortion_coeffs")
-    columns, rows = _numbers(file, values.get("resolution"), f"{name}.resolution", 2)
+    bent = _numbers(file, bent, f"distortion coefficients of {name}")
+    columns, rows = _numbers(file, values.get("resolution"), f"resolution of {name}", 2)
     size: dict[str, Any] = {"image_size": (int(rows), int(columns))}
     if (model, distortion) not in _KALIBR:
-        raise DataError(f"{name} of {file} is of the model {model} with {distortion} distortion: {_READ}; {_ORDINARY}")
+        ordinary = f"; {_ORDINARY}" if model == "pinhole" else ""
+        raise DataError(f"{name} of {file} is of the model {model} with {distortion} distortion: {_READ}{ordinary}")
     if (len(numbers), len(bent)) != (counts := _KALIBR[model, distortion]):
         raise DataError(
             f"{name} of {file} has {len(numbers)} intrinsics and {len(bent)} distortion coefficients, and a camera of "
@@ -204,7 +205,8 @@ def _camodocal(file: Path, values: Mapping[str, Any]) -> Made:
             own |= given
     lens = {"MEI": ("gamma1", "gamma2", "xi"), "KANNALA_BRANDT": ("mu", "mv")}.get(model.upper())
     if lens is None:
-        raise DataError(f"{file} is of the model {model}: {_READ}; {_ORDINARY}")
+        ordinary = f"; {_ORDINARY}" if model.upper() == "PINHOLE" else ""
+        raise DataError(f"{file} is of the model {model}: {_READ}{ordinary}")
     bent = ("k1", "k2", "p1", "p2") if "xi" in lens else ("k2", "k3", "k4", "k5")
     names = (*lens[:2], "u0", "v0", *bent, *lens[2:])
     fx, fy, cx, cy, *rest = _numbers(file, [own.get(name) for name in names], f"{', '.join(names)} of {model}")

@@ -19,7 +19,6 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.image_files import UnreadableImageError, read_image, size_of, spread
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import diameter
-from siamloc.data.panorama import PanoramaView
 from siamloc.data.picture_checks import drive_faults
 from siamloc.data.picture_times import NO_DRIVE
 from siamloc.data.trajectory_checks import other_unit
@@ -271,7 +270,7 @@ def wrong_sizes(frames: FrameTable, images: PanoramaLibrary | None) -> Iterator[
         with suppress(UnreadableImageError):
             rows, columns = read_image(path).shape[:2]
             counts[rows, columns] += 1
-    drive, camera = next(iter(images.cameras.items())) if images is not None else ("", None)
+    camera = next(iter(images.cameras.values())) if images is not None else None
     placed = getattr(camera, "whole", False)  # pictures of another shape say what they show
     if len({round(width / height, 1) for height, width in counts}) > 1 and not placed:
         listed = ", ".join(f"{width} x {height} px ({count})" for (height, width), count in counts.items())
@@ -282,8 +281,7 @@ def wrong_sizes(frames: FrameTable, images: PanoramaLibrary | None) -> Iterator[
     if images is None or not counts:
         return
     if camera is not None:
-        if (sees := images.seen(drive)) is not None:
-            yield from _unseen(sees, images.preprocessing.view)
+        yield from unseen(images)
         return
     height, width = counts.most_common(1)[0][0]
     if np.nan_to_num(frames.tilt).any():
@@ -311,9 +309,10 @@ def _are_rings(frames: FrameTable, images: PanoramaLibrary) -> bool:
     return shape <= _PANORAMIC and images.image_size[1] / images.image_size[0] > 1.5 * shape
 
 
-def _unseen(sees: NDArray[np.bool_], view: PanoramaView) -> Iterator[str]:
-    """Report how much of the panorama the camera does not see, by the pixels that it sees (H, W)."""
-    if sees.mean() < 0.98:
+def unseen(images: PanoramaLibrary) -> Iterator[str]:
+    """Report how much of the panorama the camera of the first drive does not see."""
+    view, sees = images.preprocessing.view, images.seen(next(iter(images.cameras)))
+    if sees is not None and sees.mean() < 0.98:
         rows = np.degrees(view.row_elevation())[(sees.mean(axis=1) > 0.98)]
         whole = f"it sees all around from {rows.max():.0f} to {rows.min():.0f}" if len(rows) else "in no row all around"
         yield (

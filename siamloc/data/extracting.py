@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from foundation.calls import OF_FIELDS, takes, typed
 from foundation.files import expanded, read_json, real_path, write_bytes, write_json, write_picture, write_text
 from foundation.settings import Count, Positive, Settings, Text
-from siamloc.data.bags import KINDS, METADATA, Bag, Clock, is_part, proposed
+from siamloc.data.bags import KINDS, Bag, Clock, is_part, proposed
 from siamloc.data.films import COUNTED, Film
-from siamloc.data.frames import BAGS, VIDEOS, FrameTable, advice, placed
+from siamloc.data.frames import BAGS, METADATA, VIDEOS, FrameTable, advice, placed
 from siamloc.data.image_files import UnreadableImageError, decode_image
 from siamloc.data.manifest import manifest_of
 from siamloc.data.names import lighting_in
@@ -265,7 +265,8 @@ def _opened(
     if second is not None and (path.suffix.lower() in (*BAGS, *VIDEOS) or (path / METADATA).is_file()):
         raise ConfigError(
             f"{path} is no folder of pictures, for which unwrap.second is: extract the pictures of each lens (of a bag "
-            "by recording.images=TOPIC), put them into one folder as front_TIME and back_TIME, and take that instead"
+            "by recording.images=TOPIC), put those of equal times into one folder as front_TIME and back_TIME, and "
+            "take that instead, with its poses and odometry in files"
         )
     if path.suffix.lower() in VIDEOS:
         return Film(path)

@@ -31,6 +31,8 @@ _ADVICE = {  # on formats that are not read
 }
 BAGS = (".bag", ".db3", ".mcap")
 """Endings of the files of ROS bags."""
+METADATA = "metadata.yaml"
+"""The file in the folder of a ROS 2 bag that says which files belong to it, and how they are compressed."""
 VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".mjpeg", ".mpg")
 """Endings of the videos that are read."""
 _TEXT = ("path", "room", "sequence", "lighting", "building")

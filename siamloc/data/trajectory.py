@@ -196,7 +196,7 @@ class Trajectory:
     def inverse(self) -> Trajectory:
         """Return the poses of the world's frame as seen from this one."""
         back = self.quaternion * np.array([-1, -1, -1, 1])
-        return Trajectory(self.time, -turned(back, self.position), back, self.source)
+        return Trajectory(self.time, -turned(back, self.position), back, self.source, self.in_order)
 
     def _upwards(self, axes: Axes) -> Array:
         """Return the direction upwards in the world (3,): an axis, or the normal of a ground that leans; see `flat`."""
@@ -231,22 +231,26 @@ class Trajectory:
         _, (length, width, thickness), directions = np.linalg.svd(position - position.mean(axis=0), full_matrices=False)
         return directions[2] if thickness < _FLAT * width and width > _WIDE * length else None
 
+    def _steady(self, back: bool = False) -> Array:
+        """Return how steady the frame's axes are in the world, or the world's in the frame (3,): 1 if they stay."""
+        quaternion = self._oriented * np.array([-1, -1, -1, 1]) if back else self._oriented
+        return np.array([np.linalg.norm(turned(quaternion, axis).mean(axis=0)) for axis in np.eye(3)])
+
     def _why_tilted(self, axes: Axes) -> str:
         other: Axes = "camera" if axes == "robot" else "robot"
         others = [mean_up(self._oriented[:, order], axes) for order in OTHER_ORDERS]
         swapped = not self.in_order and np.abs(others).max() > _LEVEL
-        mean = mean_up(self._oriented, axes)
+        mean, others_mean = (mean_up(self._oriented, one) for one in (axes, other))
+        order = "order=wxyz, or order=xyzw if w stands last"
         if swapped and np.linalg.norm(mean) < _LEVEL:  # else its orientations are alike in any order
-            return "the quaternions are in the other order: give order=wxyz, or order=xyzw if w stands last"
-        if self._upright(other) is not None:
-            return f"the poses seem to be those of a {other}, not of a {axes}: give axes={other}"
-        back = self._oriented * np.array([-1, -1, -1, 1])
-        if np.linalg.norm(turned(back, _nearest_axis(mean)).mean(axis=0)) < _LEVEL:
+            return f"the quaternions are in the other order: give {order}"
+        doubt = f", unless the quaternions are in the other order ({order})" if swapped else ""
+        fits = np.abs(others_mean).max() > _LEVEL
+        if fits or (other == "camera" and self._steady().min() < _LEVEL and self._upright(other) is not None):
+            return f"the poses seem to be those of a {other}, not of a {axes}: give axes={other}{doubt}"
+        if np.linalg.norm(mean) < _LEVEL and self._steady(back=True).max() < _LEVEL:
             return f"no axis of the world stays upright, with axes={axes}: the {axes} tilts on its way"
-        tilt, others_tilt, most = np.degrees(
-            np.arccos([np.abs(mean).max(), np.abs(mean_up(self._oriented, other)).max(), _TILTED])
-        )
-        doubt = ", unless the quaternions are in the other order (order=wxyz if w stands first)" if swapped else ""
+        tilt, others_tilt, most = np.degrees(np.arccos([np.abs(mean).max(), np.abs(others_mean).max(), _TILTED]))
         return (
             f"with axes={axes} the frame is tilted by {tilt:.0f} degrees against the nearest axis of the world, with "
             f"axes={other} by {others_tilt:.0f}, and up to {int(most)} are read{doubt}: give the poses of a level "

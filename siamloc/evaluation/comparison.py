@@ -86,7 +86,7 @@ def compare(folders: str | Path | Iterable[str | Path | Run], by: str | None = N
     holding = {above for path in paths for above in real_path(path).parents}
     runs = [record.parent for record in files_named(folders, "run.json")]
     lacking = ", ".join(run.as_posix() for run in runs if real_path(run) not in holding)
-    left_out = [f"left out, since nothing was measured there: {shortened(lacking, 400)}"] if lacking else []
+    left_out = [f"runs that hold no evaluation: {shortened(lacking, 400)}"] if lacking else []
     return replace(found, notes=(*notes, *left_out))
 
 

@@ -63,7 +63,7 @@ def overlapping_buildings(*tables: FrameTable) -> str:
             return (
                 f"the positions of the buildings {one} and {other} overlap: unless they have a common origin, "
                 "distances between the two mean nothing, and floors, hits, true nodes and closures count them. Measure "
-                f"each by itself, by known.take(known.frames.building == {one!r}) in Python, or move one of them aside."
+                "each by itself (docs/guide/evaluation.md says how), or move one of them aside."
             )
     return ""
 

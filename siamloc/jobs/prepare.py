@@ -97,7 +97,7 @@ class Prepare(DataJob):
                 usual, given = RecordingKeys().plain(), self.recording.plain()
                 chosen = {key: value for key, value in given.items() if key != "file" and value != usual[key]}
                 chosen = {"file": self.recording.file, **found.proposal, **chosen}
-                if "images" not in chosen:
+                if chosen.get("images", "none") == "none":
                     say(f"there is nothing to extract: no topic of {self.recording.file} holds images")
                     return found
                 chosen |= {"out": f"{drive_name(found.file)}_frames"}

@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from siamloc.data.frames import FrameTable
-from siamloc.data.moves import relative
+from siamloc.data.moves import relative, wrapped
 from siamloc.maps.loops import Loops, Reason, judged_again
 from siamloc.maps.pose_graph import Array, Edges, PoseGraph, Solution, solve
 from siamloc.maps.survey_steps import BEFORE
 
 _DOUBTED = 0.1  # weight of comparisons below which they contradict the solution: 6 deviations
 _TORN = 0.75  # metres by which the solution contradicts a step, from which on a drive is torn there
+_TURNED = 0.5  # rad by which anchors contradict a step, from which on a drive is torn there
 _ENOUGH = 1e-3  # m or rad to which a graph is solved to judge its loops
 _ROUGHLY = 1e6  # degrees of freedom with which no measurement is weighted down
 
@@ -100,8 +101,8 @@ def torn_before(graph: PoseGraph, solution: Solution) -> NDArray[np.int64]:
     """Return the frames before which a drive is torn: the solution contradicts all steps across, by their weights.
 
     Where images are unlike, so that only the step to the next frame is known, it may be a little wrong: a drive is torn
-    there if it is far off. Without anchors, that is so even if other steps across, over a tear beside it, agree; and
-    odometry across holds a drive together all the same.
+    there if it is far off, for anchors also in its turn. Without anchors, that is so even if other steps across, over a
+    tear beside it, agree; and odometry across holds a drive together all the same.
     """
     steps = graph.pictures
     weight = solution.weight[: len(steps)]
@@ -110,9 +111,14 @@ def torn_before(graph: PoseGraph, solution: Solution) -> NDArray[np.int64]:
         there = steps.first + later <= steps.second
         np.fmax.at(across, (steps.first + later)[there], weight[there])
         np.add.at(count, (steps.first + later)[there], 1)
-    far = (steps.second == steps.first + 1) & (weight < _DOUBTED) & (residual_of_steps(graph, solution) > _TORN)
-    far = np.isin(np.arange(len(graph)), steps.second[far])
-    torn = (across < _DOUBTED) & ((count > 1) | far)
+    doubted = (steps.second == steps.first + 1) & (weight < _DOUBTED)
+    far = doubted & (residual_of_steps(graph, solution) > _TORN)
+    torn, several = across < _DOUBTED, count > 1
     if len(graph.fixed) < 2:
-        torn = (torn | far) & ~np.isin(np.arange(len(graph)), graph.wheels.second)
+        torn = torn & several | np.isin(np.arange(len(graph)), steps.second[far])
+        torn &= ~np.isin(np.arange(len(graph)), graph.wheels.second)
+    else:
+        turns = relative(solution.poses, steps.first, steps.second)[:, 2] - steps.pose[:, 2]
+        far |= doubted & (np.abs(wrapped(turns)) > _TURNED)
+        torn &= several | np.isin(np.arange(len(graph)), steps.second[far])
     return np.flatnonzero(torn)

@@ -20,7 +20,7 @@ from foundation.files import atomic_path, csv_text, expanded, plain
 from foundation.words import as_words
 from siamloc.data.checks import wrong_odometry
 from siamloc.data.films import Film, quiet
-from siamloc.data.frames import BAGS, VIDEOS, FrameTable
+from siamloc.data.frames import BAGS, METADATA, VIDEOS, FrameTable
 from siamloc.data.image_files import UnreadableImageError, image_files
 from siamloc.data.manifest import read_rows
 from siamloc.data.moves import moves
@@ -224,8 +224,7 @@ def _files(path: Path, second: tuple[str, str] | None) -> list[Path] | None:
         number = re.fullmatch(r"/dev/video(\d+)", str(path))
         there = f"the camera {path} is called {CAMERA}{number[1]} here" if number else f"there is no image {path}"
         raise DataError(there)
-    endings = {ending.lower() for one in (path.iterdir() if folder else [path]) for ending in one.suffixes}
-    if endings.intersection(BAGS):  # also compressed, .db3.zstd
+    if (path / METADATA).is_file() or (not folder and path.suffix.lower() in BAGS):
         command = f"siamloc prepare {as_words({'recording.file': path})}"
         raise DataError(f"{path} is a ROS bag: `{command}` writes its images into a folder")
     if folder:

@@ -63,21 +63,19 @@ def compare(runs: str | Path | Iterable[str | Path | Run], by: str | None = None
         {**{key: values.get(key) for key in names}, **_measured(run, curves.get(run.folder, {}), by)}
         for run, values in zip(found, settings, strict=True)
     ]
-    columns, notes = (by, *_MEASURED), tuple(_unfinished(rows, settings))
+    columns, notes = (by, *_MEASURED), tuple(_short(rows, settings))
     return Comparison(by, tuple(names), columns, tuple(rows), highest=higher_is_better(by), notes=notes).in_order()
 
 
-def _unfinished(rows: Iterable[Mapping[str, Any]], settings: Iterable[Mapping[str, Any]]) -> Iterator[str]:
-    """Name the runs that have fewer epochs than they were started for, unless something else could end them early."""
+def _short(rows: Iterable[Mapping[str, Any]], settings: Iterable[Mapping[str, Any]]) -> Iterator[str]:
+    """Name the runs that have fewer epochs than they were started for: unfinished, or ended early."""
     fewer = [
         f"{row['run']} ({row['finished']} of {values['epochs']} epochs)"
         for row, values in zip(rows, settings, strict=True)
-        if row["finished"] < values.get("epochs", 0)
-        and values.get("patience") is None
-        and values.get("trainer.max_steps", -1) == -1
+        if row["finished"] < (values.get("epochs") or 0)
     ]
     if fewer:
-        yield f"not finished, and may still change: {shortened(', '.join(fewer), _NAMED)}"
+        yield f"unfinished, or ended early: {shortened(', '.join(fewer), _NAMED)}"
 
 
 def _opened(runs: str | Path | Iterable[str | Path | Run]) -> list[Run]:

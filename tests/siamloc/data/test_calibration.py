@@ -301,8 +301,8 @@ def test_the_command_line_names_the_file_and_a_run_keeps_the_camera(tmp_path):
         (KALIBR, ["cam0", "cam1", "cam2"], ConfigError, "one camera or two"),
         (KALIBR, ["cam1", "cam2"], DataError, "cam2 of .* has no T_cn_cnm1"),
         (KALIBR.replace("190.97, 190.97, ", ""), "cam0", DataError, "has 2 intrinsics and 4 .*pinhole has 4 and 4"),
-        (KALIBR.replace("resolution: [512, 510]", "a: 1", 1), "cam0", DataError, "cam0.resolution must be"),
-        (KALIBR.replace("190.97", "nan", 1), "cam0", DataError, "cam0.intrinsics must be finite numbers"),
+        (KALIBR.replace("resolution: [512, 510]", "a: 1", 1), "cam0", DataError, "resolution of cam0 must be"),
+        (KALIBR.replace("190.97", "nan", 1), "cam0", DataError, "intrinsics of cam0 must be finite numbers"),
         (ROS.replace("equidistant", "plumb_bob"), None, DataError, "model plumb_bob and 4 .*data.circular=false"),
         (ROS.replace("equidistant", "rational_polynomial"), "cam0", ConfigError, "is of one camera: leave out"),
         (

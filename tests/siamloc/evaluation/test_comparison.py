@@ -131,7 +131,7 @@ def test_runs_in_which_nothing_was_measured_are_named(measured, tmp_path):
     for name in "ab":
         Run(tmp_path / name).start({}, [])
     write(measured, tmp_path / "a" / "evaluation" / "hog", 0.5)
-    left_out = f"left out, since nothing was measured there: {(tmp_path / 'b').as_posix()}"
+    left_out = f"runs that hold no evaluation: {(tmp_path / 'b').as_posix()}"
     assert compare(iter([tmp_path, tmp_path / "b"])).verdict().splitlines()[1:] == [left_out]
 
 

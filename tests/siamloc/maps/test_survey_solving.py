@@ -18,7 +18,7 @@ ROUND, AGAIN = 50, 10  # frames of a circle of 3 m, and of its second round
 
 
 def notes(
-    turns_less=0.0, wrong_at=None, wrong_by=1.2, unlike=False, alone=False, wheels=False, anchors=()
+    turns_less=0.0, wrong_at=None, wrong_by=1.2, wrong_turn=0.0, unlike=False, alone=False, wheels=False, anchors=()
 ) -> list[str]:
     """The notes of a robot that drives in a circle, whose loops are right.
 
@@ -26,6 +26,7 @@ def notes(
         turns_less: share by which the turns of its steps are seen too small.
         wrong_at: a frame before which the robot is seen to drive some metres that it does not drive.
         wrong_by: these metres.
+        wrong_turn: radians that it is seen to turn there, too, and does not.
         unlike: whether images are unlike there: only the step to the next one is known, and doubted.
         alone: whether only that step is known there, for certain.
         wheels: whether it has odometry, which is right.
@@ -44,7 +45,7 @@ def notes(
     next_one = second == first + 1
     rolled = replace(steps, pose=steps.pose.copy()).take(next_one if wheels else slice(0, 0))
     steps.pose[:, 2] *= 1 - turns_less
-    steps.pose[across, 0] += wrong_by
+    steps.pose[across] += [wrong_by, 0, wrong_turn]
     again, before = (part.ravel() for part in np.mgrid[ROUND : ROUND + AGAIN, 0:AGAIN])
     loops = Loops(
         before,
@@ -85,3 +86,4 @@ def test_anchors_contradict_images_that_show_well_how_the_robot_drove():
     assert "the anchors contradict the images" in notes(wrong_at=30, anchors=around)[0]
     assert "the anchors contradict the images" in notes(wrong_at=30, alone=True, wheels=True, anchors=around)[0]
     assert not notes(wrong_at=30, wrong_by=0.5, alone=True, wheels=True, anchors=around)
+    assert "the anchors contradict" in notes(wrong_at=30, wrong_by=0, wrong_turn=1.0, alone=True, anchors=around)[0]

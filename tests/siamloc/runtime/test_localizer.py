@@ -293,7 +293,7 @@ def test_what_gives_no_images_is_said(bundle, tmp_path, name, says):
     (tmp_path / "empty").mkdir()
     (tmp_path / "drive.bag").touch()
     (tmp_path / "monday").mkdir()
-    (tmp_path / "monday" / "monday_0.db3").touch()
+    (tmp_path / "monday" / "metadata.yaml").touch()
     given = name if name.startswith("camera") else tmp_path / name
     with pytest.raises((ConfigError, DataError), match=says):
         list(locate_all(Localizer(bundle), given))
