@@ -96,13 +96,13 @@ def mapping(
             "inertia and the plan are without these frames"
         )
     return Result(
-        name=name or known.compared_by.name,
+        name=name or known.descriptor.name,
         parts={"mapping": measures},
         tables={"frames": columns, "nodes": _nodes(layer, columns)},
         denominators={"frames": len(known), "nodes": len(layer)},
         about={
             "data": {"map": {**data, "sequences": list(frames.rows_by("sequence"))}},
-            "descriptor": known.compared_by.identity,
+            "descriptor": known.descriptor.identity,
             "layer": layer.made,
             "edges": layer.edges,
         },
@@ -185,7 +185,7 @@ def closures(known: VisualMap, labels: NDArray[np.int64], gap: int) -> NDArray[n
     for node in range(int(labels.max()) + 1):
         members = np.flatnonzero(labels == node)
         part = known.description.take(members)
-        apart = known.compared_by.pairwise(part, part, known.distance)
+        apart = known.descriptor.pairwise(part, part, known.distance)
         early = members[None, :] <= members[:, None] - gap
         apart = np.where(early, apart, np.inf)
         closing = early.any(axis=1)

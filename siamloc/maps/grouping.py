@@ -295,7 +295,7 @@ def _clustered(known: VisualMap, settings: Settings, made: dict[str, Any], seed:
 
 
 def _grown(known: VisualMap, settings: Incremental, made: dict[str, Any], progress: bool) -> Built:
-    mapper = IncrementalMapper(known.compared_by, **settings.plain())
+    mapper = IncrementalMapper(known.descriptor, **settings.plain())
     seconds, reasons = np.zeros(len(known)), []
     poses = np.column_stack([known.frames.xy, known.frames.theta])
     rows: Iterable[int] = range(len(known))

@@ -37,7 +37,6 @@ from siamloc.maps.identities import BY_DRIVE, differences, exchangeable
 from siamloc.maps.map_file import read_map, write_map
 from siamloc.maps.packing import Precision, shares_values
 from siamloc.maps.search import Retrieval, VectorIndex
-from siamloc.maps.vectors import Vectors
 from siamloc.models.registry import COLOURS
 
 _SAMPLE = 512  # frames
@@ -151,12 +150,6 @@ class VisualMap:
         return descriptor_of(self.identity)
 
     @cached_property
-    def compared_by(self) -> Descriptor:
-        """What compares the descriptors of the map: their descriptor, or distances in a map that does not hold it."""
-        held = self.describes is not None or is_analytic(self.identity)
-        return self.descriptor if held else Vectors(self.identity, self.distance)
-
-    @cached_property
     def heading_by(self) -> Descriptor:
         """The descriptor that compares the orientation parts: the map's own, a second, or one without its network.
 
@@ -194,7 +187,7 @@ class VisualMap:
     @property
     def aligned(self) -> bool:
         """Whether descriptors are turned into alignment before they are compared."""
-        return self.compared_by.aligned
+        return (self.describes is not None or is_analytic(self.identity)) and self.descriptor.aligned
 
     @cached_property
     def description(self) -> Description:

@@ -8,7 +8,7 @@ import analytic
 from siamloc.data.frames import FrameTable
 from siamloc.evaluation import Result
 from siamloc.evaluation.layers import closures, mapping, mapping_measures
-from siamloc.maps import Built, CoarseLayer, VisualMap, group
+from siamloc.maps import Built, CoarseLayer, VisualMap
 from siamloc.summaries import tables_of
 
 THUMBNAIL = analytic.descriptor("thumbnail", rows=1, columns=2)
@@ -77,19 +77,6 @@ def test_every_number_follows_from_the_tables(tmp_path):
     silhouette = again["silhouette"]
     assert silhouette["with_unassigned"] == nodes.mean < silhouette["nearest"]
     assert silhouette["by_node"] == nodes.clusters.mean()
-
-
-def test_a_map_of_plain_vectors_is_grouped_and_measured_as_one_that_holds_its_descriptor():
-    known, quarter = lap_twice()
-    for identity, name in (({}, "vectors"), ({"name": "mine"}, "mine")):
-        plain = VisualMap(known.descriptors, known.frames, identity)
-        found, expected = measured(plain, quarter), measured(known, quarter)
-        assert found.name == found.about["descriptor"]["name"] == name
-        assert found.measures == expected.measures
-        assert found.tables["frames"]["closes_with"].tolist() == expected.tables["frames"]["closes_with"].tolist()
-        of_both = [group(one, "incremental_sparse", progress=False) for one in (plain, known)]
-        assert len(of_both[0].layer) > 1
-        assert of_both[0].layer.labels.tolist() == of_both[1].layer.labels.tolist()
 
 
 def test_what_cannot_be_measured():
