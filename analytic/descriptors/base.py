@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
@@ -190,13 +191,14 @@ def check_own(by: Descriptor, images: NDArray[np.uint8]) -> None:
     Raises:
         AnalyticError: an identity that is no dictionary, or position parts that differ by more than rounding.
     """
-    if not isinstance(by.identity, dict):
+    if not isinstance(by.identity, Mapping):
         raise AnalyticError(
             f"`identity` of {by.name} must be a dictionary, such as {{'name': {by.name!r}}}, got {by.identity!r}"
         )
-    among, alone, again = (
-        description_of(by, batch).position[0].astype(np.complex128) for batch in (images, images[:1], images[:1])
-    )
+    among, alone, again = (description_of(by, batch).position[0] for batch in (images, images[:1], images[:1]))
+    if alone.dtype.kind not in "buifc":
+        return  # a map refuses it
+    among, alone, again = (part.astype(np.complex128) for part in (among, alone, again))
     for other, when in ((again, "it is described again"), (among, "other images are in its batch")):
         if alone.shape != other.shape or np.linalg.norm(alone - other) > _ROUNDING * np.linalg.norm(alone) + 1e-6:
             raise AnalyticError(

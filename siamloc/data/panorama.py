@@ -315,6 +315,8 @@ def _tables_for(
     Raises:
         ConfigError: a camera by which tables cannot be kept.
     """
+    if type(view) is not PanoramaView:
+        return _tables(camera, view, image_size)
     try:
         hash(camera)
     except TypeError as error:
@@ -322,8 +324,7 @@ def _tables_for(
             f"{type(camera).__name__} cannot be told from other cameras ({error}): make it a frozen dataclass with "
             "plain values, tuples instead of lists and arrays"
         ) from error
-    tables = _cached_tables if type(view) is PanoramaView else _tables
-    return tables(camera, view, image_size)
+    return _cached_tables(camera, view, image_size)
 
 
 def _sampled(camera: OmnidirectionalCamera, view: PanoramaView, image_size: tuple[int, int]) -> tuple[Array, Array]:

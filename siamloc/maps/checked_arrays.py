@@ -21,7 +21,8 @@ def checked_descriptors(given: Any, frames: FrameTable) -> NDArray[np.float32]:
         DataError: another shape or type, or values that are not finite.
     """
     if hasattr(given, "detach"):  # a tensor
-        given = given.detach().cpu().numpy()
+        given = given.detach().cpu()
+        given = (given.float() if given.is_floating_point() else given).numpy()
     values = np.asarray(given)
     if values.dtype.kind not in "buif" or values.ndim != 2 or 0 in values.shape:
         raise DataError(

@@ -54,7 +54,7 @@ def check_repeatable(describes: Callable[[Tensor], tuple[Tensor, ...]], image: T
 
     try:
         alone, again = of_the_image(image), of_the_image(image)
-    except SiamlocError:
+    except (SiamlocError, MemoryError, torch.OutOfMemoryError):
         raise
     except Exception as error:  # a custom module may raise anything
         try:
@@ -75,6 +75,8 @@ def check_repeatable(describes: Callable[[Tensor], tuple[Tensor, ...]], image: T
     )
     try:
         among = of_the_image(several)
+    except (MemoryError, torch.OutOfMemoryError):
+        raise
     except Exception as error:
         raise DataError(
             f"the network describes one image but not three at once ({in_one_line(error)}), as trainings and maps do: "

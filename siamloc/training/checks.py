@@ -91,13 +91,13 @@ def check_loss(loss: Loss | BatchLoss | None, arguments: int) -> None:
         return
     if isinstance(loss, type):
         raise ConfigError(f"the loss {name_of(loss)} is a class: make an object of it, {name_of(loss)}()")
-    if type(loss).__module__ == nn.modules.loss.__name__:
+    called = loss.forward if isinstance(loss, nn.Module) else loss
+    if getattr(called, "__module__", None) in (nn.modules.loss.__name__, nn.functional.__name__):
         raise ConfigError(
             f"the loss {name_of(loss)} of torch takes other targets than the labels of pairs, 0 for alike to 1, or the "
             "origins of a batch: write a function that calls it"
         )
     try:
-        called = loss.forward if isinstance(loss, nn.Module) else loss
         inspect.signature(called).bind(*[None] * arguments)
     except TypeError as error:
         raise ConfigError(
