@@ -18,7 +18,7 @@ from foundation.files import expanded
 from foundation.settings import checked, merged
 from foundation.words import quoted, unquoted
 from siamloc.cli.help import job_of
-from siamloc.cli.overrides import flags_first, key_of, meant, only_of_others, own_folder, together
+from siamloc.cli.overrides import flags_first, folder_of_options, key_of, meant, only_of_others, together
 from siamloc.cli.words import values_of
 from siamloc.errors import ConfigError, DataError, SiamlocError, check_known, hint, logger
 from siamloc.jobs.job import Given, Job, at, import_own
@@ -335,8 +335,8 @@ def _explained(error: Exception, words: list[str], kind: type[Job]) -> Exception
         key = found[1].lstrip("+~").partition("@")[0]
         if inside := [group for group in kind.GROUPS if group.startswith(f"{key}/")]:
             return ConfigError(f"{key} is a group of groups: choose {' or '.join(f'{one}=NAME' for one in inside)}")
-        if key in kind.key_names() and own_folder(words) is not None:
-            return ConfigError(f"{key} is no group of options: rename the folder {key} in that of --config-dir")
+        if (folder := folder_of_options(words)) is not None and (folder / key).is_dir() and key in kind.key_names():
+            return ConfigError(f"{key} is no group of options: rename the folder {folder / key}")
         added = "other arguments of Lightning's Trainer" if key.startswith("trainer.") else ""
         if key.startswith("unwrap.") and "unwrap=own" in words:
             added = "parameters of a camera of your own"
@@ -352,7 +352,7 @@ def _explained(error: Exception, words: list[str], kind: type[Job]) -> Exception
             return ConfigError(
                 f"{group}={name} names a file: FOLDER/{group}/NAME.yaml is {group}=NAME with --config-dir FOLDER"
             )
-        folder = own_folder(words)
+        folder = folder_of_options(words)
         own = [] if folder is None else [path.stem for path in (folder / group).glob("*.yaml")]
         return ConfigError(f"unknown option {group}={name}: {hint(name, sorted({*choices(group), *own}))}")
     return ConfigError(f"{text} (given: {' '.join(words)})")

@@ -25,13 +25,11 @@ def meant(words: list[str], kind: type[Job]) -> list[str]:
     words = list(map(_with_quotes, words))
     _check_words(words)
     _check_own(words, kind)
-    late = _of_stored_data() if _takes_data_of_a_run(words, kind) else ()
-    if own_folder(words) is not None:  # whose options need not name all their keys
-        late += tuple(f"{group.replace('/', '.')}." for group in kind.GROUPS)
-    return [f"++{_whole(word)}" if word.startswith(late) else _as_meant(word, kind) for word in words]
+    stored = _of_stored_data() if _takes_data_of_a_run(words, kind) else ()
+    return [f"++{_whole(word)}" if word.startswith(stored) else _as_meant(word, kind) for word in words]
 
 
-def own_folder(words: list[str]) -> Path | None:
+def folder_of_options(words: list[str]) -> Path | None:
     """Return the folder of options of the user's own, which --config-dir names."""
     from hydra._internal.utils import get_args_parser
 

@@ -207,9 +207,7 @@ class Augment(Settings):
         """
         policy = dict(values)
         where = policy.pop("where", "auto")
-        if policy.get("name") == "none" and {"all_of", "one_of", "effect", "policy"} & set(policy):
-            del policy["name"]  # the usual option's; a policy of your own needs none
-        if checked(policy.get("name", "own"), Text, "augment.name") == "none":
+        if checked(policy.get("name"), Text, "augment.name") == "none":
             check_known(policy, ["name"], "augment")
             return cls(policy, where)
         checked(policy.get("rotate"), Share | None, "augment.rotate")

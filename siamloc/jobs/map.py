@@ -149,7 +149,7 @@ class MapFrames(RunJob):
             if (built := over.pop(folder, None)) is None:
                 # `siamloc map` makes the map as well, and would lose what updates changed
                 command, task = ("evaluate", {"task": "mapping"}) if UPKEEP in known.made else ("map", {})
-                words = as_words({**self.named, "build": self.build.title, **task})
+                words = as_words({**self.named, **words_of("build", self.build), **task})
                 raise ConfigError(f"{folder} has no nodes over the map {path}: `siamloc {command} {words}` makes them")
             if (folder / "mapper.npz").is_file():
                 mapper = IncrementalMapper.load(folder / "mapper.npz", known.descriptor, extend=True)

@@ -168,7 +168,7 @@ def _gather(folder: Path, title: str, named: Path) -> RunFiles:
     if not (found := _results(folder, top)):
         how = f"with `siamloc evaluate {as_words({'run': named})}`"
         if run.record.is_file() and "class" in run.settings.get("model", {}):  # which only Python can load
-            how = "in Python, and keep it by result.save(run.evaluation('network'))"
+            how = "in Python, and save the result in run.evaluation('network')"
         raise ConfigError(f"{folder} holds no evaluation: measure it first {how}")
     folders = sorted((path.parent for path in found), key=lambda path: (path.name != "network", by_numbers(path)))
     own = read_survey(run.folder)
