@@ -160,7 +160,7 @@ def test_of_a_sweep_that_is_not_all_measured_the_report_advises_to_measure_the_s
     with pytest.raises(ConfigError, match=r"seed-1 holds no evaluation: .* run=\S+sweep`"):
         write_report(tmp_path / "sweep", tmp_path / "report.html")
     Run(tmp_path / "own").start({"model": {"class": "my.Network"}}, [])
-    with pytest.raises(ConfigError, match=r"measure it first in Python, and keep it by result\.save"):
+    with pytest.raises(ConfigError, match=r"measure it first in Python, and save the result in run"):
         write_report(tmp_path / "own", tmp_path / "report.html")
 
 
