@@ -31,7 +31,8 @@ class Comparison:
             have NaN and come last.
         highest: whether a higher value is better.
         unit: unit of the measure `by`; "" if it has none, or not always the same.
-        notes: sentences on why the rows may not be comparable, and on runs that are left out or not finished.
+        notes: sentences on why the rows may not be comparable, and on runs that are unfinished, ended early, or not
+            measured.
     """
 
     by: str

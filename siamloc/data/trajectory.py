@@ -238,23 +238,29 @@ class Trajectory:
 
     def _why_tilted(self, axes: Axes) -> str:
         other: Axes = "camera" if axes == "robot" else "robot"
-        others = [mean_up(self._oriented[:, order], axes) for order in OTHER_ORDERS]
-        swapped = not self.in_order and np.abs(others).max() > _LEVEL
         mean, others_mean = (mean_up(self._oriented, one) for one in (axes, other))
+        swapped, others_swapped = (
+            max(np.abs(mean_up(self._oriented[:, order], one)).max() for order in OTHER_ORDERS) for one in (axes, other)
+        )
         order = "order=wxyz, or order=xyzw if w stands last"
-        if swapped and np.linalg.norm(mean) < _LEVEL:  # else its orientations are alike in any order
+        if not self.in_order and swapped > _LEVEL and np.linalg.norm(mean) < _LEVEL:  # else alike in any order
             return f"the quaternions are in the other order: give {order}"
-        doubt = f", unless the quaternions are in the other order ({order})" if swapped else ""
-        fits = np.abs(others_mean).max() > _LEVEL
-        if fits or (other == "camera" and self._steady().min() < _LEVEL and self._upright(other) is not None):
+        doubtful = not self.in_order and max(swapped, others_swapped) >= _TILTED
+        doubt = f", unless the quaternions are in the other order ({order})" if doubtful else ""
+        fits = np.abs(others_mean).max()
+        if fits > _LEVEL or (other == "camera" and self._steady().min() < _LEVEL and self._upright(other) is not None):
             return f"the poses seem to be those of a {other}, not of a {axes}: give axes={other}{doubt}"
         if np.linalg.norm(mean) < _LEVEL and self._steady(back=True).max() < _LEVEL:
-            return f"no axis of the world stays upright, with axes={axes}: the {axes} tilts on its way"
-        tilt, others_tilt, most = np.degrees(np.arccos([np.abs(mean).max(), np.abs(others_mean).max(), _TILTED]))
+            return (
+                f"no axis of the world stays upright, with axes={axes}: the {axes} tilts on its way, or the world "
+                f"leans{doubt}"
+            )
+        tilt, others_tilt, most = np.degrees(np.arccos([np.abs(mean).max(), fits, _TILTED]))
+        level = f"axes={other}, or the poses of a level frame" if fits >= _TILTED else "the poses of a level frame"
         return (
             f"with axes={axes} the frame is tilted by {tilt:.0f} degrees against the nearest axis of the world, with "
-            f"axes={other} by {others_tilt:.0f}, and up to {int(most)} are read{doubt}: give the poses of a level "
-            "frame, such as the robot's base"
+            f"axes={other} by {others_tilt:.0f}, and up to {int(most)} are read{doubt}: give {level}, such as the "
+            "robot's base"
         )
 
 

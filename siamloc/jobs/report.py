@@ -63,9 +63,9 @@ class Compare(Job):
 
     Prints a row for each run of a sweep: the settings in which the runs differ, the best validation figure and its
     epoch, and the number of finished epochs. For evaluations: the swept settings, the mean error, overall and by
-    lighting, the hit rate, recall@1 and the share of rooms found. Names the best one, and runs that are not finished
-    or not measured. Writes the table as CSV, and a plot of the figure against the first swept numeric setting, with a
-    line for each combination of the others.
+    lighting, the hit rate, recall@1 and the share of rooms found. Names the best one, and runs that are
+    unfinished, ended early, or not measured. Writes the table as CSV, and a plot of the figure against the first swept
+    numeric setting, with a line for each combination of the others.
 
         runs=FOLDER      the folder of a sweep, or any folder with runs or evaluations in it
         runs=[a,b,c]     several of them

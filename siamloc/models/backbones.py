@@ -96,9 +96,9 @@ class Backbone(Branch):
         for weight in tried.parameters():
             if weight.numel() == max(weight.shape, default=1):  # scales at 0 would hide whole layers
                 weight.data.uniform_(0.5, 1.5, generator=generator)
-            elif weight.ndim == 2 or (
-                weight.requires_grad and not weight.any()
-            ):  # small weights would hide the positions of a transformer
+                continue
+            empty = weight.requires_grad and not weight.any()  # zeros that stay zeros hide nothing
+            if weight.ndim == 2 or empty:  # small weights would hide the positions of a transformer
                 weight.data.normal_(0, weight.shape[1] ** -0.5, generator=generator)
         columns = self._shapes[-1][2]
         stride = math.ceil(image_size[1] / columns)

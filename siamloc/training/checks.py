@@ -92,7 +92,8 @@ def check_loss(loss: Loss | BatchLoss | None, arguments: int) -> None:
     if isinstance(loss, type):
         raise ConfigError(f"the loss {name_of(loss)} is a class: make an object of it, {name_of(loss)}()")
     called = loss.forward if isinstance(loss, nn.Module) else loss
-    if getattr(called, "__module__", None) in (nn.modules.loss.__name__, nn.functional.__name__):
+    of_torch = (nn.modules.loss.__name__, nn.functional.__name__)
+    if getattr(getattr(called, "func", called), "__module__", None) in of_torch:  # also below functools.partial
         raise ConfigError(
             f"the loss {name_of(loss)} of torch takes other targets than the labels of pairs, 0 for alike to 1, or the "
             "origins of a batch: write a function that calls it"

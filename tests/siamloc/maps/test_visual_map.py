@@ -116,6 +116,7 @@ def test_a_map_of_a_tensor_keeps_its_values() -> None:
     with torch.no_grad():
         vectors += 1
     assert (known.descriptors == 1).all()
+    assert (VisualMap(torch.ones(6, 3, dtype=torch.bfloat16), make_map().frames).descriptors == 1).all()
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from functools import partial
 
 import cv2
 import numpy as np
@@ -429,6 +430,7 @@ def test_frames_without_a_room_are_left_out_of_pairs_where_others_have_one(train
         ({"loss": SoftContrastiveLoss()}, ConfigError, "a loss of batches of places takes"),
         ({"loss": SoftContrastiveLoss}, ConfigError, r"is a class: make an object of it, SoftContrastiveLoss\(\)"),
         ({"loss": nn.TripletMarginLoss()}, ConfigError, "TripletMarginLoss of torch takes other targets than"),
+        ({"loss": partial(nn.functional.cosine_embedding_loss, margin=0.5)}, ConfigError, "of torch takes other"),
         ({"network": "alexnet"}, ConfigError, "network must be a Module"),
         ({"epochs": 0}, ConfigError, "epochs must be a whole number from 1 to 10 million, got 0"),
         ({"batch_size": 1.5}, ConfigError, "batch_size must be a whole number from 1"),
