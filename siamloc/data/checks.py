@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +22,6 @@ from siamloc.data.picture_checks import drive_faults
 from siamloc.data.picture_times import NO_DRIVE
 from siamloc.data.trajectory_checks import other_unit
 
-if TYPE_CHECKING:
-    from torch import nn
-
 _SHORTEST, _LONGEST = 1e-3, 20.0  # m, usual steps between two images of a robot indoors
 _PROBED = 32  # images of a data set that are opened for their size
 _FITS, _FAILS = 0.9, 0.7  # how well headings follow the direction of travel, from 0 (not at all) to 1
@@ -37,7 +33,7 @@ _TURN = 2 * np.pi
 def check(
     frames: FrameTable,
     images: PanoramaLibrary | None = None,
-    described_by: Descriptor | nn.Module | None = None,
+    described_by: Descriptor | None = None,
     mounting: bool = True,
 ) -> list[str]:
     """Check a data set for faults that go unnoticed until the results are poor.
@@ -64,10 +60,6 @@ def check(
         >>> check(frames)[0]
         'theta looks like degrees: 7 of 8 headings lie beyond one turn, up to 315. Give radians (multiply by pi / 180).'
     """
-    if described_by is not None and not isinstance(described_by, Descriptor):
-        from siamloc.models import as_descriptor
-
-        described_by = as_descriptor(described_by)
     found = [*wrong_headings(frames), *wrong_odometry(frames), *_missing(frames), *_drives(frames)]
     judged = images is not None and not _are_rings(frames, images)
     pictures = wrong_pictures(frames, images, described_by, mounting) if images is not None and judged else []

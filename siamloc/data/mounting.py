@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -25,9 +25,6 @@ from siamloc.data.moves import inverse, relative, wrapped
 from siamloc.data.panorama import PanoramaView, PolarRing
 from siamloc.data.trajectory import Array
 from siamloc.errors import ConfigError
-
-if TYPE_CHECKING:
-    from torch import nn
 
 STRAIGHT = 2.0
 """Degrees of yaw that are left as they are: they cost next to nothing, and an estimate may be off by as much."""
@@ -184,9 +181,7 @@ class MountingEstimate:
 
 
 @typed
-def find_mounting(
-    described_by: Descriptor | nn.Module, images: PanoramaLibrary, frames: FrameTable
-) -> MountingEstimate:
+def find_mounting(described_by: Descriptor, images: PanoramaLibrary, frames: FrameTable) -> MountingEstimate:
     """Estimate how the camera is mounted, from the images and poses of a drive.
 
     The network says for pairs of images how the camera moved and turned, the poses say how the robot did. Without
@@ -194,7 +189,7 @@ def find_mounting(
     `siamloc.maps.build` does the same with the frames of a map, and takes the result into account.
 
     Args:
-        described_by: a network that compares, such as `siamloc.models.pretrained()`.
+        described_by: a network that compares, `siamloc.models.as_descriptor(siamloc.models.pretrained())`.
         images: panoramas of the frames.
         frames: frames in capture order, close together.
 
@@ -202,14 +197,10 @@ def find_mounting(
         ConfigError: a descriptor that does not compare.
 
     Example:
-        >>> network = siamloc.models.pretrained()  # doctest: +SKIP
-        >>> siamloc.data.find_mounting(network, images, frames).yaw  # doctest: +SKIP
+        >>> by = siamloc.models.as_descriptor(siamloc.models.pretrained())  # doctest: +SKIP
+        >>> siamloc.data.find_mounting(by, images, frames).yaw  # doctest: +SKIP
         30.2
     """
-    if not isinstance(described_by, Descriptor):
-        from siamloc.models import as_descriptor
-
-        described_by = as_descriptor(described_by)
     if not getattr(described_by, "compares", False):
         raise ConfigError(f"{described_by.name} does not compare images: take the network that ships with siamloc")
     readable = images.readable(frames)
