@@ -18,6 +18,9 @@ from siamloc.tables import Column, Table
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+NAMED = 400
+"""Most characters of the names of runs in a note."""
+
 
 @dataclass(frozen=True, repr=False)
 class Comparison:

@@ -180,8 +180,7 @@ def walk(
     )
     images = library(frames)
     shows_floor(images, settings.survey.height)  # or refuse the height before the long work
-    readable = images.readable(frames)
-    for fault in (*unseen(images), *drive_faults(readable, images)):
+    for fault in (*unseen(images), *drive_faults(images.readable(frames), images)):
         say(f"note: {fault}")
     chosen = maps.key_frames(_NETWORK, images, frames, spacing=settings.spacing)
     say(f"key frames: {len(chosen)} of {len(images)}, each {settings.spacing:g} m or more from the last (spacing=)")

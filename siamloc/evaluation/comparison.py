@@ -13,7 +13,7 @@ from foundation.calls import typed
 from foundation.files import real_path
 from foundation.settings import leaves, shortened, within
 from siamloc.comparable import doubts
-from siamloc.comparison import Comparison, differing, files_named, flat, without_own
+from siamloc.comparison import NAMED, Comparison, differing, files_named, flat, without_own
 from siamloc.errors import ConfigError, FormatError, hint
 from siamloc.results import FURTHER, read_results
 from siamloc.runs import Run, run_with
@@ -86,8 +86,8 @@ def compare(folders: str | Path | Iterable[str | Path | Run], by: str | None = N
     holding = {above for path in paths for above in real_path(path).parents}
     runs = [record.parent for record in files_named(folders, "run.json")]
     lacking = ", ".join(run.as_posix() for run in runs if real_path(run) not in holding)
-    left_out = [f"runs that hold no evaluation: {shortened(lacking, 400)}"] if lacking else []
-    return replace(found, notes=(*notes, *left_out))
+    unmeasured = [f"runs that hold no evaluation: {shortened(lacking, NAMED)}"] if lacking else []
+    return replace(found, notes=(*notes, *unmeasured))
 
 
 def highest_is_best(measure: str) -> bool:

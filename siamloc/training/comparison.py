@@ -10,7 +10,7 @@ from typing import Any
 from foundation.calls import typed
 from foundation.files import real_path
 from foundation.settings import shortened
-from siamloc.comparison import Comparison, differing, files_named, flat, without_own
+from siamloc.comparison import NAMED, Comparison, differing, files_named, flat, without_own
 from siamloc.errors import ConfigError, hint
 from siamloc.runs import Run, higher_is_better
 
@@ -18,7 +18,6 @@ _CHOSEN_BY = ("val/error", "val/room", "val/loss")
 _MEASURED = ("epoch", "finished", "run")
 # Only locations, or what follows from the rest.
 _LEFT_OUT = ("frames", "data.cache", "data.name", "model.image_size")
-_NAMED = 400  # characters of a note on runs
 _NAME = "name the folder of a sweep, such as runs/sweep"
 
 
@@ -75,7 +74,7 @@ def _short(rows: Iterable[Mapping[str, Any]], settings: Iterable[Mapping[str, An
         if row["finished"] < (values.get("epochs") or 0)
     ]
     if fewer:
-        yield f"unfinished, or ended early: {shortened(', '.join(fewer), _NAMED)}"
+        yield f"unfinished, or ended early: {shortened(', '.join(fewer), NAMED)}"
 
 
 def _opened(runs: str | Path | Iterable[str | Path | Run]) -> list[Run]:
