@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from foundation.files import scratch_folder, storage_errors, write_picture
 from siamloc.data.frames import FrameTable
@@ -28,6 +28,7 @@ _CERTAIN = 0.25  # largest standard deviation of a position, in the unit of the 
 _AGREEMENT = 0.5  # least agreement on a pose about which nothing else is known
 _APART, _TURNED = 0.1, math.radians(20)  # by how much pictures differ, in the unit of the map and in rad
 _ELSEWHERE = 1.0  # farther than that apart are two places, in the unit of the map
+_PROVEN = 5.0  # way after which a tracker that leapt against the wheels counts as right, in the unit of the map
 _WAITING = 200  # largest number of pictures in memory
 
 
@@ -38,6 +39,8 @@ class Collector:
     most 0.25, however exact the map is, and it is recognized there. It is taken at least 0.1 or 20 degrees away from
     the one before. A picture that only the tracker of a robot locates waits in memory until a later picture is
     recognized where the tracker has the robot; it is dropped if the tracker was wrong, or if the drive ends before.
+    Where the tracker leaps to another place and the wheels know of no such way, all pictures wait until it has followed
+    the robot for 5 without another leap.
 
     Args:
         folder: the folder, with a folder for each drive.
@@ -64,10 +67,16 @@ class Collector:
             self._since = time.time() - time.monotonic()  # so that times rise within a drive, whatever sets the clock
             self._before: NamedPose | None = None
             self._last: NamedPose | None = None
+            self._way = math.inf  # since the tracker leapt against the wheels
             self._waiting.clear()
 
     def take(
-        self, panorama: NDArray[np.uint8], location: Location, tracked: bool, map_variance: float = 0.0
+        self,
+        panorama: NDArray[np.uint8],
+        location: Location,
+        tracked: bool,
+        map_variance: float = 0.0,
+        motion: ArrayLike | None = None,
     ) -> Path | None:
         """Keep a panorama (3, H, W), uint8, RGB, if it was located well; return its file, None if it has none yet.
 
@@ -78,6 +87,7 @@ class Collector:
             location: where it was taken.
             tracked: whether the location is that of a tracked robot.
             map_variance: the part of the location's variances that is the map's, as in `RefinedPoses`.
+            motion: how the robot moved since the picture before, as for `Localizer.locate`; None or NaN if unknown.
         """
         place = location.x, location.y, location.theta if self.headings else 0.0
         if not all(map(math.isfinite, place)):
@@ -85,9 +95,13 @@ class Collector:
         with self._lock:
             pose = NamedPose(self._since + time.monotonic(), *place)
             before, self._before = self._before or pose, pose
-            if math.hypot(pose.x - before.x, pose.y - before.y) > _ELSEWHERE:
+            told = math.nan if motion is None else math.hypot(*np.asarray(motion, dtype=np.float64)[:2])
+            step = math.hypot(pose.x - before.x, pose.y - before.y)
+            self._way += step
+            if abs(step - (0.0 if math.isnan(told) else told)) > _ELSEWHERE:
                 self._waiting.clear()  # the tracker was wrong
-            recognized = _recognized(location, tracked)
+                self._way = self._way if math.isnan(told) else 0.0
+            recognized = _recognized(location, tracked) and self._way >= _PROVEN
             if not _certain(location, map_variance) or not (
                 recognized or (tracked and not shows_nothing(panorama[None])[0])
             ):

@@ -301,7 +301,7 @@ class Localizer:
             agreement=math.nan if pose is None else float(pose.agreement[0]),
         )
         if self._collector is not None:
-            self._collector.take(panorama, location, tracker is not None, of_map)
+            self._collector.take(panorama, location, tracker is not None, of_map, motion)
         return location
 
     @typed

@@ -117,6 +117,21 @@ def test_pictures_that_the_tracker_alone_locates_wait_until_a_recognized_one_con
     assert take(8.3, lost=None, agreement=math.nan, candidates=(far,)) == [0, 0.2, 0.6, 7, 8.1, 8.3]
 
 
+def test_pictures_after_a_leap_against_the_wheels_wait_until_the_robot_was_followed_for_a_while(tmp_path):
+    collector, picture = Collector(tmp_path), np.arange(96, dtype=np.uint8).reshape(3, 4, 8)
+
+    def take(x, motion):
+        collector.take(picture, located(x, agreement=0.9), tracked=True, motion=motion)
+        return [pose.x for _, pose in _pictures(tmp_path)]
+
+    assert take(0, motion=None) == [0]
+    assert take(2, motion=(2, 0, 0)) == [0, 2], "a long way, but the wheels know it"
+    assert take(9, motion=(0.5, 0, 0)) == take(9.5, motion=(0.5, 0, 0)) == [0, 2]
+    assert take(3, motion=(0.5, 0, 0)) == take(4.5, motion=(1.5, 0, 0)) == [0, 2], "and what lay between is dropped"
+    assert take(6.5, motion=(np.nan, 0, 0)) == take(7.5, motion=(1, 0, 0)) == [0, 2]
+    assert take(8.5, motion=(1, 0, 0)) == [0, 2, 6.5, 7.5, 8.5]
+
+
 def test_times_rise_within_a_drive_though_the_clock_is_set_back(bundle, tmp_path):
     collector = Collector(tmp_path / "seen")
     pictures, frames = drive(1)
