@@ -1,4 +1,4 @@
-"""Work in threads whose results come in order."""
+"""Threads: work whose results come in order, and values of the whole process that a block changes for a while."""
 
 from __future__ import annotations
 
@@ -6,7 +6,12 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TypeVar
+from contextlib import contextmanager
+from threading import Lock
+from typing import Any, TypeVar
+
+_LOCK = Lock()
+_BEFORE: dict[int, list[Any]] = {}  # by the id of an owner: its value, and how many blocks have to end
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -51,3 +56,30 @@ def each(work: Callable[[Item], Result], items: Sequence[Item], threads: int) ->
     """
     threads = min(len(items), threads)
     return list(in_order(work, items, threads)) if threads > 1 else [work(item) for item in items]
+
+
+@contextmanager
+def restored(
+    owners: Iterable[Item], read: Callable[[Item], Result], write: Callable[[Item, Result], None]
+) -> Iterator[None]:
+    """Restore values that a `with` block changes and all threads see.
+
+    Of blocks that overlap, in any threads, the last to end restores what the first one found.
+
+    Args:
+        owners: the objects with a value each.
+        read: returns the value of an owner.
+        write: sets it.
+    """
+    owners = list(owners)
+    with _LOCK:
+        for owner in owners:
+            _BEFORE.setdefault(id(owner), [read(owner), 0])[1] += 1
+    try:
+        yield
+    finally:
+        with _LOCK:
+            for owner in owners:
+                _BEFORE[id(owner)][1] -= 1
+                if not _BEFORE[id(owner)][1]:
+                    write(owner, _BEFORE.pop(id(owner))[0])

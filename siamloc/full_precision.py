@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
+from types import ModuleType
 from typing import Any
 
 import torch
+
+from foundation.threads import restored
 
 Switch = tuple[Callable[[], Any], Callable[[Any], None], Any]
 
@@ -19,17 +22,11 @@ def full_precision() -> Iterator[None]:
     A GPU convolves in TF32, with 10 of the 23 bits, unless told otherwise; `torch.set_float32_matmul_precision` does
     similar things to products. Afterwards everything is as the user set it, for the whole process.
     """
-    switches = _switches()
-    before = [_read(get) for get, _, _ in switches]
-    try:
-        for (get, put, full), value in zip(switches, before, strict=True):
-            if value is not None and _read(get) not in (full, "none"):
+    with restored([torch], _values, _restore):
+        for get, put, full in [switch for switch in _switches() if _read(switch[0]) is not None]:
+            if _read(get) not in (full, "none"):
                 put(full)
         yield
-    finally:
-        for (get, put, _), value in zip(switches, before, strict=True):
-            if value is not None and _read(get) != value:
-                put(value)
 
 
 def _switches() -> list[Switch]:
@@ -45,6 +42,16 @@ def _switches() -> list[Switch]:
     newer = [(*_attribute(place, "fp32_precision"), "ieee") for place in places]
     matmul = (torch.get_float32_matmul_precision, torch.set_float32_matmul_precision, "highest")
     return [(*_attribute(backends.cudnn, "allow_tf32"), False), matmul, *newer]
+
+
+def _values(_: ModuleType) -> list[Any]:
+    return [_read(get) for get, _, _ in _switches()]
+
+
+def _restore(_: ModuleType, before: list[Any]) -> None:
+    for (get, put, _full), value in zip(_switches(), before, strict=True):
+        if value is not None and _read(get) != value:
+            put(value)
 
 
 def _attribute(place: Any, name: str) -> tuple[Callable[[], Any], Callable[[Any], None]]:

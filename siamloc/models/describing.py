@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from torch import Tensor, nn
 from analytic.descriptors.base import Description, Descriptor
 from analytic.descriptors.between_columns import BetweenColumns
 from foundation.calls import typed
+from foundation.threads import restored
 from siamloc.errors import ConfigError, DataError
 from siamloc.full_precision import full_precision
 from siamloc.models.branch import Branch
@@ -277,14 +279,10 @@ def margin_of(loss: object) -> float | None:
 @contextmanager
 def evaluating(module: nn.Module) -> Iterator[None]:
     """Run a module without gradients in full precision inside a `with` block, and restore its modes afterwards."""
-    modes = [(part, part.training) for part in module.modules()]
-    module.eval()
-    try:
+    with restored(module.modules(), attrgetter("training"), lambda part, mode: setattr(part, "training", mode)):
+        module.eval()
         with torch.inference_mode(), full_precision(), torch.autocast(_like(module).device.type, enabled=False):
             yield
-    finally:
-        for part, training in modes:
-            part.training = training
 
 
 def as_float(images: Tensor) -> Tensor:

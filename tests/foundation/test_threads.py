@@ -1,8 +1,9 @@
 import threading
+from types import SimpleNamespace
 
 import pytest
 
-from foundation.threads import each, in_order
+from foundation.threads import each, in_order, restored
 
 
 def test_results_come_in_order_and_only_a_little_ahead():
@@ -39,3 +40,19 @@ def test_each_uses_as_many_threads_as_it_may_and_for_one_item_none(threads, coun
         return number, threading.current_thread() is threading.main_thread()
 
     assert each(work, range(count), threads) == [(number, used == 1) for number in range(count)]
+
+
+def test_of_blocks_that_overlap_the_last_restores_what_the_first_found():
+    owners = [SimpleNamespace(value=1), SimpleNamespace(value=2)]
+
+    def block(which):
+        return restored(which, lambda owner: owner.value, lambda owner, value: setattr(owner, "value", value))
+
+    first, second = block(owners), block(owners[1:])
+    first.__enter__()
+    owners[0].value = owners[1].value = 5
+    second.__enter__()
+    first.__exit__(None, None, None)
+    assert [owner.value for owner in owners] == [1, 5]
+    second.__exit__(None, None, None)
+    assert [owner.value for owner in owners] == [1, 2]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from threading import Event, Thread
+
 import numpy as np
 import pytest
 import torch
@@ -10,7 +12,7 @@ from torch import nn
 from analytic import Description, Descriptor, descriptor
 from siamloc.errors import ConfigError, DataError
 from siamloc.models import as_descriptor, build
-from siamloc.models.describing import chosen_device
+from siamloc.models.describing import chosen_device, evaluating
 
 SIZE = (32, 64)
 
@@ -75,6 +77,30 @@ def test_describing_restores_the_mode_of_every_part():
     assert module.module.training
     module.module(draw(2) / 255).sum().backward()
     assert module.module.head.layers[1].weight.grad is not None
+
+
+def test_threads_that_describe_with_one_network_share_its_mode_and_the_precision():
+    module, inside, leave = make("vgg11_bn").module.train(), Event(), Event()
+
+    def describe():
+        with evaluating(module.branch):
+            inside.set()
+            leave.wait(30)
+
+    torch.set_float32_matmul_precision("medium")
+    try:
+        other = Thread(target=describe)
+        other.start()
+        inside.wait(30)
+        with evaluating(module):
+            leave.set()
+            other.join()
+            assert not any(part.training for part in module.modules())
+            assert torch.get_float32_matmul_precision() == "highest"
+        assert all(part.training for part in module.modules())
+        assert torch.get_float32_matmul_precision() == "medium"
+    finally:
+        torch.set_float32_matmul_precision("highest")
 
 
 def test_describing_is_in_full_precision_under_autocast():
