@@ -23,7 +23,7 @@ Params = dict[str, Tensor]
 Numbers = dict[str, NDArray[np.float64]]
 """Numbers by name, (B,) or (k, B): one for each of B frames, or k of them."""
 
-_ROUNDING = torch.tensor([-1e-5, 1e-5])  # relative, of values that were drawn in float32 from the logarithm
+_ROUNDING = torch.tensor([-1e-5, 1e-5], dtype=torch.float32)  # relative, of values drawn from the logarithm
 
 
 @contextmanager
@@ -129,7 +129,8 @@ class Effect(ABC):
             )
         height, width = batch.shape[2:]
         shape = (len(batch), len(self.spans(height, width)))
-        params = self.values(torch.rand(shape, generator=generator, device=generator.device).cpu(), height, width)
+        uniform = torch.rand(shape, generator=generator, device=generator.device, dtype=torch.float32).cpu()
+        params = self.values(uniform, height, width)
         if not params:
             raise AugmentError(f"{self.name} draws nothing: give it at least one range, such as that of its strength")
         return params
@@ -155,9 +156,9 @@ class Effect(ABC):
         if not -1 <= strength <= 1:
             raise AugmentError(f"the strength of {self.name} must lie in [-1, 1], got {strength}")
         height, width = batch.shape[2:]
-        values = {key: span.at(strength) for key, span in self.spans(height, width).items()}
-        params = {key: torch.tensor([value] * len(batch)) for key, value in values.items()}
-        return self.complete(params, len(batch), height, width)
+        spans, count = self.spans(height, width), len(batch)
+        params = {key: self._values(key, [span.at(strength)] * count, span, count) for key, span in spans.items()}
+        return self.complete(params, count, height, width)
 
     @on_host()
     def apply(self, batch: Tensor, params: Mapping[str, Any]) -> Tensor:
@@ -351,7 +352,7 @@ class Effect(ABC):
         """Return the parameters, and their smallest and largest values (P, 1) with what rounding may add."""
         if (height, width) not in self._limits:
             valid = self.limits(height, width)
-            ends = torch.tensor([span.ends for span in valid.values()]).view(-1, 2)
+            ends = torch.tensor([span.ends for span in valid.values()], dtype=torch.float32).view(-1, 2)
             self._limits[height, width] = (valid, *(ends + ends.abs() * _ROUNDING).split(1, dim=1))
         return self._limits[height, width]
 

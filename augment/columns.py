@@ -48,7 +48,7 @@ class Rotate(Effect):
 
     def complete(self, params: Params, count: int, height: int, width: int) -> Params:
         """Add the parameter `heading`, in rad, that follows from the shift."""
-        return {**params, "heading": wrapped(params["shift"] * (2 * pi / width))}
+        return {**params, "heading": wrapped(params["shift"].float() * (2 * pi / width))}
 
     def active(self, params: Mapping[str, Tensor]) -> NDArray[np.bool_]:
         """Return which frames (B,) are turned."""

@@ -54,7 +54,8 @@ class Variant:
             size: rows and columns of the images.
         """
         count = len(self.policy.spans(*size))
-        rows = [torch.rand(count, generator=seeded(seed, frame, self.number), device="cpu") for frame in frames]
+        generators = [seeded(seed, frame, self.number) for frame in frames]
+        rows = [torch.rand(count, generator=one, device="cpu", dtype=torch.float32) for one in generators]
         return self.policy.values(torch.stack(rows), *size)
 
 

@@ -116,7 +116,7 @@ class Policy(Effect):
         """Decide which effects each frame gets, and add up the headings of their rotations, in rad in (-pi, pi]."""
         taken = self._decide(params, count)
         done: Params = {}
-        heading = torch.zeros(count)
+        heading = torch.zeros(count, dtype=torch.float32)
         for slot, (prefix, inner) in enumerate(self._prefixed.items()):
             own = {key: params[f"{prefix}.{key}"] for key in inner.spans(height, width)}
             own = inner.complete(own, count, height, width)

@@ -217,7 +217,7 @@ class Equalize(Effect):
         reached = counts.cumsum(2)
         below_last = reached.masked_fill(reached == levels.shape[2], 0).amax(2, keepdim=True)
         step = below_last // 255
-        tables = ((reached - counts + step // 2) // step.clamp(min=1)).clamp(max=255) / 255
+        tables = ((reached - counts + step // 2) // step.clamp(min=1)).clamp(max=255).float() / 255
         return torch.lerp(batch, tables.gather(2, levels).view_as(batch), values["strength"] * (step > 0)[..., None])
 
 

@@ -99,7 +99,7 @@ def spread(uniform: Tensor, ranges: Mapping[str, Range]) -> dict[str, Tensor]:
 
 @lru_cache(maxsize=256)
 def _tables(ranges: tuple[Range, ...]) -> tuple[Tensor, Tensor, Tensor, tuple[bool, ...], bool]:
-    low = torch.tensor([math.log(r.low) if r.log else float(r.low) for r in ranges])
-    high = torch.tensor([math.log(r.high) if r.log else float(r.high) + r.whole for r in ranges])
+    low = torch.tensor([math.log(r.low) if r.log else float(r.low) for r in ranges], dtype=torch.float32)
+    high = torch.tensor([math.log(r.high) if r.log else float(r.high) + r.whole for r in ranges], dtype=torch.float32)
     log = torch.tensor([r.log for r in ranges])
     return low, high - low, log, tuple(r.whole for r in ranges), bool(log.any())

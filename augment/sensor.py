@@ -131,7 +131,8 @@ class Jpeg(Effect):
 @lru_cache(maxsize=4)
 def _stretches(device: str, length: int) -> Tensor:
     """Return all stretches of the table as a view (2^21, length): it begins again after its end."""
-    normal = torch.randn(_TABLE, generator=torch.Generator().manual_seed(20230705), device="cpu")
+    generator = torch.Generator().manual_seed(20230705)
+    normal = torch.randn(_TABLE, generator=generator, device="cpu", dtype=torch.float32)
     longer = normal.repeat(2 + length // _TABLE)[: _TABLE + length - 1]
     return longer.to(device).unfold(0, length, 1)
 

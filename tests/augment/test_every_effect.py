@@ -7,6 +7,7 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import augment
+from augment import ranges, sensor
 from tests.augment.pictures import generator, panoramas, turned
 
 NAMES = [*augment.EFFECTS, *(f"policy {name}" for name in augment.POLICIES)]
@@ -210,6 +211,27 @@ def test_another_default_device_of_torch_changes_nothing(name, dtype):
     again = build(name)
     assert torch.equal(out, again.apply(batch, again.draw(generator(3), batch)))
     assert all(torch.equal(value, again.at(0.5, batch)[key]) for key, value in middle.items())
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("name", NAMES)
+def test_another_default_dtype_of_torch_changes_nothing(name, dtype):
+    batch = panoramas(dtype=dtype)
+
+    def run():
+        for cached in (ranges._tables, sensor._stretches):
+            cached.cache_clear()
+        effect = build(name)
+        middle = effect.at(0.5, batch)
+        return effect.apply(batch, effect.draw(generator(3), batch)), effect.apply(batch, middle), middle
+
+    expected = run()
+    torch.set_default_dtype(torch.float64)
+    try:
+        found = run()
+    finally:
+        torch.set_default_dtype(torch.float32)
+    torch.testing.assert_close(found, expected, rtol=0, atol=0)  # dtypes, too
 
 
 NO_VALUES = [float("nan"), float("inf"), -1e9, 1e9, "high", None, 3 + 4j]
