@@ -119,7 +119,8 @@ def _taking(function: Callable[..., Result], kind: type[Settings]) -> Callable[.
 def typed(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
     """Make a function or method refuse arguments that its annotations do not allow, before it does anything.
 
-    Arguments are passed on as given, except that plain values for a group of settings become the group.
+    Arguments are passed on as given, except that plain values for a group of settings become the group, and whole
+    numbers of numpy become plain ones.
 
     Raises:
         ConfigError: from the call, naming the argument, what it should be, and what it is.
@@ -135,7 +136,7 @@ def typed(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
 
 
 def _check_of(function: Callable[..., Any]) -> Callable[[tuple[Any, ...], dict[str, Any]], Any]:
-    """Return the function that checks the arguments of a call, and returns them with groups made of plain values.
+    """Return the function that checks the arguments of a call, and returns them as described for `typed`.
 
     Missing and unknown arguments are left to Python.
     """
@@ -150,7 +151,7 @@ def _check_of(function: Callable[..., Any]) -> Callable[[tuple[Any, ...], dict[s
         for name, value in given.arguments.items():
             if name in kinds() and value is not signature.parameters[name].default:
                 fitting = checked(value, kinds()[name], name)
-                if isinstance(fitting, Settings):
+                if isinstance(fitting, Settings) or isinstance(value, np.integer):
                     given.arguments[name] = fitting
         return given.args, given.kwargs
 

@@ -98,6 +98,14 @@ def test_plain_values_become_the_group_of_settings_that_a_call_takes():
         k_of({"kk": 2})
 
 
+def test_whole_numbers_of_numpy_become_plain_ones():
+    @typed
+    def kind_of(k: Count, array: NDArray[np.int64] | None = None) -> list[type]:
+        return [type(k), type(array)]
+
+    assert kind_of(np.int64(3), np.array([3])) == [int, np.ndarray]
+
+
 def test_public_calls_refuse_nonsense():
     """Every 11th case: with 21 strange values and arguments of all kinds, each is covered."""
     wrong = [

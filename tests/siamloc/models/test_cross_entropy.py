@@ -35,6 +35,11 @@ def shares(loss, descriptor):
     return [power / sum(powers) for power in powers]
 
 
+def test_the_layer_follows_from_the_seed_also_from_one_of_numpy():
+    assert torch.equal(opened(seed=np.int64(3)).layer.weight, opened(seed=3).layer.weight)
+    assert not torch.equal(opened(seed=3).layer.weight, opened().layer.weight)
+
+
 @pytest.mark.parametrize("temperature", [1.0, 0.2])
 def test_the_loss_is_that_of_a_loop_over_images_with_a_room(temperature):
     loss, descriptors, room = opened(temperature=temperature), torch.randn(6, 4), [0, 2, -1, 1, 2, -1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 from torch import nn
@@ -58,7 +59,7 @@ def test_the_global_generator_is_neither_moved_nor_read(branch):
     first = build(branch, "fc500_500_5", (64, 64), seed=3)
     assert torch.equal(torch.random.get_rng_state(), before)
     torch.manual_seed(6)
-    assert same_state(first, build(branch, "fc500_500_5", (64, 64), seed=3))
+    assert same_state(first, build(branch, "fc500_500_5", (64, 64), seed=np.int64(3)))
 
 
 @pytest.mark.parametrize("branch", ["alexnet", "vgg16", "densenet121"])
