@@ -460,6 +460,8 @@ def _as_column(name: str, value: ArrayLike) -> NDArray[Any]:
     try:
         if name not in _TEXT and _is_time(np.asarray(value)):
             raise ValueError(f"got dates or durations{_IN_SECONDS if name == 'time' else ''}")
+        if isinstance(value, np.ma.MaskedArray):
+            value = np.where(np.ma.getmaskarray(value), np.array(None), value.data)
         column = np.array(value, dtype=np.str_ if name in _TEXT else np.float64)
         if name in _TEXT and column.ndim == 1 and not (isinstance(value, np.ndarray) and value.dtype.kind == "U"):
             given = np.array(value, dtype=object)

@@ -9,7 +9,7 @@ from siamloc.errors import DataError
 
 
 def numbers_of(values: ArrayLike, what: str) -> NDArray[np.float64]:
-    """Return values as float64.
+    """Return values as float64; masked ones are NaN.
 
     Args:
         values: the values, of any shape.
@@ -19,7 +19,7 @@ def numbers_of(values: ArrayLike, what: str) -> NDArray[np.float64]:
         DataError: texts, or rows of different lengths.
     """
     try:
-        return np.asarray(values, dtype=np.float64)
+        return np.ma.asarray(values, dtype=np.float64).filled(np.nan)
     except (TypeError, ValueError) as error:
         raise DataError(f"{what} must be an array of numbers ({error})") from error
 

@@ -71,6 +71,15 @@ def test_a_label_that_is_none_or_nan_is_missing(rooms):
     assert FrameTable.from_rows([{"path": "a", "room": None}]).room.tolist() == [""]
 
 
+def test_masked_values_are_missing():
+    masked = {name: np.ma.array(values, mask=[0, 1]) for name, values in {"x": [1, 2], "y": [1.5, 2.5]}.items()}
+    frames = FrameTable(path=["a", "b"], room=np.ma.array(["hall", "lab"], mask=[0, 1]), **masked)
+    np.testing.assert_equal(frames.xy, [[1, 1.5], [np.nan, np.nan]])
+    assert frames.room.tolist() == ["hall", ""]
+    with pytest.raises(DataError, match="1 of 2 are missing, the first in row 0"):
+        FrameTable(path=np.ma.array(["a", "b"], mask=[1, 0]))
+
+
 def test_a_whole_number_is_the_same_label_as_integer_and_as_float():
     """A missing label turns the column of another library into floats."""
     numbers = [3.0, np.nan, 2.5, 1e20]

@@ -188,6 +188,7 @@ POSES = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
         (lambda: metrics.recall_from_ranks([1, 2], [1.0], 1, 3), DataError, "shape (n,), got (2,) and (1,)"),
         (lambda: metrics.summarize(["a"]), DataError, "errors must be an array of numbers"),
         (lambda: metrics.summarize([1.0, math.nan]), DataError, "1 of 2 errors are not finite"),
+        (lambda: metrics.summarize(np.ma.array([1.0, 2.0], mask=[0, 1])), DataError, "1 of 2 errors are not finite"),
         (lambda: calibration_curve([1.0, math.nan], [1.0, 2.0]), DataError, "1 of 2 predicted errors are not finite"),
         (lambda: metrics.summarize([[1.0]]), DataError, "shape (n,), got (1, 1)"),
         (lambda: metrics.recall_at_k([[0]], XY, XY, -1, 1), ConfigError, "radius must be a number from 0, got -1"),
