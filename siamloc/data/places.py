@@ -28,7 +28,8 @@ class PlaceSettings(Settings):
         radius: largest distance of the images of a place from its first image, in the unit of the positions, in
             frames or in steps; 0 repeats the first image, of which augmentation makes different views.
         near: share of the places that lie within `reach` of another place of the batch, so that the network also
-            learns to tell neighbours apart.
+            learns to tell neighbours apart. They are drawn from all frames within `reach`, so that a batch
+            may have the same place twice, most often where few frames lie that near.
         reach: the distance of `near`, in the unit of the positions, in frames or in steps.
         epoch_batches: batches in an epoch; if None, enough to show every frame once on average.
     """
