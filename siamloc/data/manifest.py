@@ -163,6 +163,7 @@ def _frame(file: Path, line: int, names: dict[str, int], cells: list[str]) -> di
             if abs(frame[name]) > largest or "_" in cell:
                 kind = {"time": "of seconds", "theta": "of rad"}.get(name, f"up to {largest:.3g}")
                 point = "write it with a decimal point, or " * ("," in cell)
+                point += "convert dates to seconds since some start, or " * (name == "time")
                 raise DataError(
                     f"{file}, line {line}, column {name!r}: {cell!r} is not a number {kind}; {point}leave the cell "
                     "empty where the value is unknown"

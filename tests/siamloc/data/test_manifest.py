@@ -77,6 +77,7 @@ def test_columns_that_are_not_used_are_reported(folder, caplog):
         ("image;x\na.jpg;1\n", "no column 'image', only image;x: .* separated by commas; valid: image, x, y"),
         ("image,x,X\na.jpg,1,2\n", "has 2 columns named 'x'"),
         ("image,x\na.jpg,1\nb.jpg,one\n", r"csv, line 3, column 'x': 'one' is not a number up to 1e\+07; leave the"),
+        ("image,time\na.jpg,2026-05-12T10:15\n", "is not a number of seconds; convert dates to seconds"),
         ("image,time\na.jpg,1_0\n", r"frames\.csv, line 2, column 'time': '1_0' is not a number of seconds"),
         (
             "image,theta\na.jpg,'0,5'\n".replace("'", '"'),
