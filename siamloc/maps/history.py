@@ -51,6 +51,9 @@ class History(Rows):
             column.flags.writeable = False
             object.__setattr__(self, one.name, column)
 
+    def __reduce__(self) -> tuple[Any, ...]:  # copies are made by the class, which keeps their arrays read-only
+        return type(self), tuple(getattr(self, one.name) for one in fields(self))
+
     @classmethod
     def none(cls, n: int) -> History:
         """Return the history of n frames that no drive has passed."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -104,6 +104,9 @@ class VisualMap:
             object.__setattr__(self, "history", History.none(len(self)))
         if len(self.history) != len(self):
             raise DataError(f"a map needs one row of history per frame, got {len(self.history)} for {len(self)} frames")
+
+    def __reduce__(self) -> tuple[Any, ...]:  # copies are made by the class, which keeps their arrays read-only
+        return type(self), tuple(getattr(self, one.name) for one in fields(self))
 
     def __len__(self) -> int:
         return len(self.descriptors)

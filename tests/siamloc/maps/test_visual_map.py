@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import copy
 import json
+import pickle
 import subprocess
 import sys
 from dataclasses import replace
@@ -108,6 +110,16 @@ def test_a_map_without_frames_or_positions_says_so() -> None:
     assert len(make_map().placed()) == 5
     with pytest.raises(DataError, match="no map frame has a position"):
         VisualMap([[1.0]], FrameTable(path=["a.png"])).placed()
+
+
+def test_copies_are_equal_and_read_only_too() -> None:
+    known = make_map()
+    known = replace(known, orientation=known.descriptors.reshape(6, 3, 1))
+    for same in (copy.deepcopy(known), pickle.loads(pickle.dumps(known))):
+        assert same.digest == known.digest
+        assert same.bytes == known.bytes  # descriptors and orientation parts share their values
+        for array in (same.descriptors, same.orientation, same.frames.x, same.history.change):
+            assert not array.flags.writeable
 
 
 def test_a_map_of_a_tensor_keeps_its_values() -> None:
