@@ -181,6 +181,7 @@ class VectorIndex:
             # One dot product per pair: its bits do not depend on what else is in the slice.
             squared[part] = np.matmul(difference[:, None, :], difference[:, :, None])[:, 0, 0]
         if self.distance in ("cosine", "correlation"):
+            squared[queries[row, -1] == 1] = 2  # of zero queries: rounding must not order what is equally far
             return np.minimum(squared / 2, 2.0)
         return np.sqrt(squared)
 

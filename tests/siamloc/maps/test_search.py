@@ -79,6 +79,15 @@ def test_neither_memory_nor_slices_nor_batch_change_a_bit(distance: str, k: int)
         np.testing.assert_array_equal(alone.distances[0], whole.distances[row])
 
 
+@pytest.mark.parametrize("distance", ["cosine", "correlation"])
+def test_a_zero_query_is_equally_far_from_everything(distance: str) -> None:
+    _, references = gaussian(1, 500, 7)
+    references[3] = 0
+    found = nearest(np.zeros((2, 7)), references, 500, distance)
+    assert (found.distances == 1).all()
+    assert (found.indices == np.arange(500)).all()
+
+
 def test_near_zero_distances_far_from_the_origin_are_right() -> None:
     rng = np.random.default_rng(2)
     references = (1000 + 1e-3 * rng.normal(size=(300, 16))).astype(np.float32)
