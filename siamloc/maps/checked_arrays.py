@@ -12,6 +12,7 @@ from foundation.errors import known
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.packing import all_finite
+from siamloc.maps.search import array_of
 
 
 def checked_descriptors(given: Any, frames: FrameTable) -> NDArray[np.float32]:
@@ -20,16 +21,13 @@ def checked_descriptors(given: Any, frames: FrameTable) -> NDArray[np.float32]:
     Raises:
         DataError: another shape or type, or values that are not finite.
     """
-    if hasattr(given, "detach"):  # a tensor
-        given = given.detach().cpu()
-        given = (given.float() if given.is_floating_point() else given).numpy()
-    values = np.asarray(given)
+    values = array_of(given)
     if values.dtype.kind not in "buif" or values.ndim != 2 or 0 in values.shape:
         raise DataError(
             "a map needs descriptors that are real numbers, of shape (n, D), n and D at least 1, got "
             f"{values.dtype} {values.shape}"
         )
-    descriptors = _own(values.astype(np.float32, copy=False), given)
+    descriptors = _own(values.astype(np.float32, copy=False), values)
     descriptors.flags.writeable = False
     if len(descriptors) != len(frames):
         raise DataError(f"a map needs one descriptor per frame, got {len(descriptors)} for {len(frames)} frames")

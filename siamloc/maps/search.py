@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -264,13 +265,21 @@ def check_excluded(excluded: ArrayLike, shape: tuple[int, ...], k: int) -> NDArr
     return mask
 
 
+def array_of(given: Any) -> NDArray:
+    """Return an array, or a tensor on any device and of any floating point type, as an array."""
+    if hasattr(given, "detach"):
+        given = given.detach().cpu()
+        given = (given.float() if given.is_floating_point() else given).numpy()
+    return np.asarray(given)
+
+
 def checked(array: ArrayLike, what: str) -> tuple[NDArray, float]:
     """Return descriptors (n, D) and their largest absolute value.
 
     Raises:
         DataError: descriptors of another shape or type, or values that are not finite.
     """
-    values = np.asarray(array)
+    values = array_of(array)
     if values.dtype.kind not in "biuf":
         raise DataError(f"a search needs {what} descriptors of real numbers, got {values.dtype}")
     if values.dtype not in (np.float32, np.float64):

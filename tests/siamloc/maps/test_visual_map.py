@@ -122,6 +122,13 @@ def test_copies_are_equal_and_read_only_too() -> None:
             assert not array.flags.writeable
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16, torch.int64])
+def test_queries_may_be_tensors(dtype) -> None:
+    known = VisualMap(np.eye(3), FrameTable(path=["a.png", "b.png", "c.png"]))
+    query = torch.tensor([[0, 1, 0]], dtype=dtype, requires_grad=dtype.is_floating_point)
+    assert known.search(query).indices.tolist() == [[1]]
+
+
 def test_a_map_of_a_tensor_keeps_its_values() -> None:
     vectors = torch.ones(6, 3, requires_grad=True)
     known = VisualMap(vectors, make_map().frames)
