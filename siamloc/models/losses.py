@@ -48,6 +48,10 @@ class ContrastiveLoss(nn.Module):
         super().__init__()
         self.margin = float(margin)
 
+    def extra_repr(self) -> str:
+        """Return the margin, for `repr`."""
+        return f"margin={self.margin:g}"
+
     def forward(self, d0: Tensor, d1: Tensor, y: Tensor) -> Tensor:
         """Compute the loss of a batch of pairs, a scalar.
 

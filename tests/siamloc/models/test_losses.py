@@ -26,6 +26,10 @@ def test_agrees_with_a_loop_over_pairs(pairs, dimensions, margin, seed):
     assert ContrastiveLoss(margin)(d0, d1, y).item() == pytest.approx(expected, rel=1e-9)
 
 
+def test_it_says_its_margin():
+    assert repr(ContrastiveLoss(2.5)) == "ContrastiveLoss(margin=2.5)"
+
+
 @pytest.mark.parametrize("label", [0.0, 0.5, 1.0])
 def test_gradient_is_finite_where_both_descriptors_are_equal(label):
     d0 = torch.ones(2, 4, requires_grad=True)
