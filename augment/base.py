@@ -359,7 +359,7 @@ class Effect(ABC):
     def _values(self, key: str, given: Any, span: Range, count: int) -> Tensor:
         """Return one parameter as a tensor (B,): int64 for whole numbers, else float32."""
         try:
-            value = torch.as_tensor(given, device="cpu")
+            value = torch.as_tensor(given if isinstance(given, Tensor) else np.asarray(given), device="cpu")
         except (TypeError, ValueError, RuntimeError):
             value = torch.zeros(0, 0)
         broken = span.whole and value.is_floating_point() and not value.equal(value.floor())

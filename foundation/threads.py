@@ -7,10 +7,10 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from threading import Lock
+from threading import RLock
 from typing import Any, TypeVar
 
-_LOCK = Lock()
+_LOCK = RLock()
 _BEFORE: dict[int, list[Any]] = {}  # by the id of an owner: its value, and how many blocks have to end
 
 Item = TypeVar("Item")
@@ -62,7 +62,7 @@ def each(work: Callable[[Item], Result], items: Sequence[Item], threads: int) ->
 def restored(
     owners: Iterable[Item], read: Callable[[Item], Result], write: Callable[[Item, Result], None]
 ) -> Iterator[None]:
-    """Restore values that a `with` block changes and all threads see.
+    """Restore values that a `with` block changes and all threads see; an owner has one such value.
 
     Of blocks that overlap, in any threads, the last to end restores what the first one found.
 
@@ -71,15 +71,16 @@ def restored(
         read: returns the value of an owner.
         write: sets it.
     """
-    owners = list(owners)
     with _LOCK:
-        for owner in owners:
-            _BEFORE.setdefault(id(owner), [read(owner), 0])[1] += 1
+        found = [(owner, read(owner)) for owner in owners]
+        for owner, value in found:
+            _BEFORE.setdefault(id(owner), [value, 0])[1] += 1
     try:
         yield
     finally:
         with _LOCK:
-            for owner in owners:
+            for owner, _ in found:
                 _BEFORE[id(owner)][1] -= 1
-                if not _BEFORE[id(owner)][1]:
-                    write(owner, _BEFORE.pop(id(owner))[0])
+            ended = [(owner, _BEFORE.pop(id(owner))[0]) for owner, _ in found if not _BEFORE[id(owner)][1]]
+            for owner, value in ended:
+                write(owner, value)

@@ -55,9 +55,8 @@ class FrameTable:
     """Frames as columns of equal length, in capture order inside each sequence.
 
     Immutable: the arrays are read-only and every method returns another table. A missing pose or time is NaN, a missing
-    label is the empty string, also if it is given as None, NaN or `pandas.NA`. Labels 3 and 3.0 are both
-    "3". Columns left out are filled with missing values. A frame is identified by its sequence and its path; row
-    numbers do not survive a selection.
+    label is the empty string, also if it is given as None, NaN or `pandas.NA`. Columns left out are filled with missing
+    values. A frame is identified by its sequence and its path; row numbers do not survive a selection.
 
     Headings run counter-clockwise seen from above, in radians, 0 along +x. The columns of a panorama run clockwise,
     and its middle column looks straight ahead, along theta: as theta grows, the contents of the image move right.
@@ -464,14 +463,11 @@ def _as_column(name: str, value: ArrayLike) -> NDArray[Any]:
             value = np.where(np.ma.getmaskarray(value), np.array(None), value.data)
         column = np.array(value, dtype=np.str_ if name in _TEXT else np.float64)
         if name in _TEXT and column.ndim == 1 and not (isinstance(value, np.ndarray) and value.dtype.kind == "U"):
-            given = np.array(value, dtype=object)
-            missing = [_is_missing(one) for one in given]
+            missing = [_is_missing(one) for one in np.array(value, dtype=object)]
             if name == "path" and any(missing):
                 where = f"{sum(missing)} of {len(missing)} are missing, the first in row {missing.index(True)}"
                 raise ValueError(f"{where}: leave these frames out")
             column[missing] = ""
-            numbers = [isinstance(one, float | np.floating) for one in given]
-            column[numbers] = [text.removesuffix(".0") for text in column[numbers]]
         return column
     except (TypeError, ValueError) as error:
         what = "texts" if name in _TEXT else "numbers"

@@ -42,7 +42,8 @@ def checked_descriptors(given: Any, frames: FrameTable) -> NDArray[np.float32]:
 
 def checked_orientation(orientation: Any, descriptors: NDArray, *, halved: bool) -> NDArray:
     """Return valid orientation parts, as the descriptors in another shape if both are the same values."""
-    array = _own(np.asarray(orientation), orientation)
+    values = array_of(orientation)
+    array = _own(values, values)
     frames = len(descriptors)
     if halved:
         fits = array.dtype == np.float16 and (array.ndim == 3 or array.shape[3:] == (2,))

@@ -266,10 +266,10 @@ def check_excluded(excluded: ArrayLike, shape: tuple[int, ...], k: int) -> NDArr
 
 
 def array_of(given: Any) -> NDArray:
-    """Return an array, or a tensor on any device and of any floating point type, as an array."""
+    """Return an array, or a tensor on any device and of any type, as an array; bfloat16 becomes float32."""
     if hasattr(given, "detach"):
         given = given.detach().cpu()
-        given = (given.float() if given.is_floating_point() else given).numpy()
+        given = (given.float() if given.is_floating_point() and given.itemsize < 4 else given).numpy()
     return np.asarray(given)
 
 

@@ -8,8 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from foundation.calls import takes, typed
-from foundation.settings import Seed
+from foundation.calls import takes
 from siamloc.errors import ConfigError, DataError
 from siamloc.models.origins import Origins, check_batch
 from siamloc.models.registry import CrossEntropy
@@ -52,8 +51,7 @@ class CrossEntropyLoss(nn.Module):
         self.rooms: tuple[str, ...] = ()
         self.layer: nn.Linear | None = None
 
-    @typed
-    def open(self, rooms: Sequence[str], width: int, seed: Seed = 0) -> None:
+    def open(self, rooms: Sequence[str], width: int, seed: int = 0) -> None:
         """Make a new class layer, with weights drawn from the seed alone; `siamloc.training.fit` calls this.
 
         Args:
@@ -62,7 +60,6 @@ class CrossEntropyLoss(nn.Module):
             seed: seed of the weights.
 
         Raises:
-            ConfigError: a seed that is not a whole number from 0 to 4,294,967,295.
             DataError: fewer than two rooms.
         """
         if len(rooms) < 2:
@@ -70,7 +67,7 @@ class CrossEntropyLoss(nn.Module):
         self.rooms = tuple(rooms)
         self.layer = nn.utils.skip_init(nn.Linear, width, len(rooms))
         with torch.no_grad():
-            self.layer.weight.normal_(std=width**-0.5, generator=torch.Generator().manual_seed(seed))
+            self.layer.weight.normal_(std=width**-0.5, generator=torch.Generator().manual_seed(int(seed)))
             self.layer.bias.zero_()
 
     def forward(self, descriptors: Tensor, origins: Origins) -> Tensor:

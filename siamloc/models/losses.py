@@ -50,7 +50,7 @@ class ContrastiveLoss(nn.Module):
 
     def extra_repr(self) -> str:
         """Return the margin, for `repr`."""
-        return f"margin={self.margin:g}"
+        return f"margin={self.margin}"
 
     def forward(self, d0: Tensor, d1: Tensor, y: Tensor) -> Tensor:
         """Compute the loss of a batch of pairs, a scalar.

@@ -56,3 +56,16 @@ def test_of_blocks_that_overlap_the_last_restores_what_the_first_found():
     assert [owner.value for owner in owners] == [1, 5]
     second.__exit__(None, None, None)
     assert [owner.value for owner in owners] == [1, 2]
+
+
+def test_a_block_that_cannot_begin_changes_nothing_for_the_next():
+    owner = SimpleNamespace(value=1)
+
+    def block(owners):
+        return restored(owners, lambda one: one.value, lambda one, value: setattr(one, "value", value))
+
+    with pytest.raises(AttributeError), block([owner, object()]):
+        pass
+    with block([owner]):
+        owner.value = 5
+    assert owner.value == 1

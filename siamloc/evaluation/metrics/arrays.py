@@ -19,7 +19,7 @@ def numbers_of(values: ArrayLike, what: str) -> NDArray[np.float64]:
         DataError: texts, or rows of different lengths.
     """
     try:
-        return np.ma.asarray(values, dtype=np.float64).filled(np.nan)
+        return np.asarray(np.ma.asarray(values, dtype=np.float64).filled(np.nan))
     except (TypeError, ValueError) as error:
         raise DataError(f"{what} must be an array of numbers ({error})") from error
 

@@ -16,6 +16,7 @@ import analytic
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps import History, VisualMap
+from siamloc.maps.search import VectorIndex
 
 IDENTITY = {"name": "network", "branch": {"name": "vgg16", "weights": None}, "width": 3}
 
@@ -127,6 +128,11 @@ def test_queries_may_be_tensors(dtype) -> None:
     known = VisualMap(np.eye(3), FrameTable(path=["a.png", "b.png", "c.png"]))
     query = torch.tensor([[0, 1, 0]], dtype=dtype, requires_grad=dtype.is_floating_point)
     assert known.search(query).indices.tolist() == [[1]]
+
+
+def test_tensors_of_float64_are_searched_in_float64() -> None:
+    near = torch.tensor([[0.0], [1e-9], [2e-9]], dtype=torch.float64) + 1
+    assert VectorIndex(near).search(near[2:], 3).indices.tolist() == [[2, 1, 0]]
 
 
 def test_a_map_of_a_tensor_keeps_its_values() -> None:
