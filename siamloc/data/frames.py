@@ -9,6 +9,7 @@ from fnmatch import fnmatchcase
 from os.path import abspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from unicodedata import normalize
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,6 +40,7 @@ _TEXT = ("path", "room", "sequence", "lighting", "building")
 ODOMETRY = ("odom_x", "odom_y", "odom_theta")
 DEVIATIONS = ("deviation", "theta_deviation")
 TILT = ("roll", "pitch")
+_ACCENTS = 0x300  # the first character that may join the one before it
 _LISTED = 12  # sequences, rooms or lightings that a description names
 _POSED = ("path", "x", "y", "theta", "room", "sequence", "lighting", "time", "building")
 COLUMNS = (*_POSED, *ODOMETRY, *DEVIATIONS, *TILT)
@@ -56,7 +58,8 @@ class FrameTable:
 
     Immutable: the arrays are read-only and every method returns another table. A missing pose or time is NaN, a missing
     label is the empty string, also if it is given as None, NaN or `pandas.NA`. Columns left out are filled with missing
-    values. A frame is identified by its sequence and its path; row numbers do not survive a selection.
+    values. Letters with accents are one character each in labels (NFC), however they are given. A frame is identified
+    by its sequence and its path; row numbers do not survive a selection.
 
     Headings run counter-clockwise seen from above, in radians, 0 along +x. The columns of a panorama run clockwise,
     and its middle column looks straight ahead, along theta: as theta grows, the contents of the image move right.
@@ -428,7 +431,20 @@ def fitting(label: str, names: Iterable[str]) -> list[str]:
         (['Tag [1]'], ['Tag 1', 'Tag [1]'])
     """
     names = list(names)
-    return [label] if label in names else [name for name in names if fnmatchcase(name, label)]
+    if label in names:
+        return [label]
+    label = composed(label)
+    return [label] if label in names else [name for name in names if fnmatchcase(composed(name), label)]
+
+
+def composed(label: str) -> str:
+    """Return a label whose letters with accents are one character each, since some systems write them as two.
+
+    Example:
+        >>> len("Bu\N{COMBINING DIAERESIS}ro"), len(composed("Bu\N{COMBINING DIAERESIS}ro"))
+        (5, 4)
+    """
+    return normalize("NFC", label)
 
 
 def advice(names: Iterable[str]) -> str:
@@ -468,6 +484,8 @@ def _as_column(name: str, value: ArrayLike) -> NDArray[Any]:
                 where = f"{sum(missing)} of {len(missing)} are missing, the first in row {missing.index(True)}"
                 raise ValueError(f"{where}: leave these frames out")
             column[missing] = ""
+        if name in _TEXT and name != "path" and column.ndim == 1 and (column.view(np.uint32) >= _ACCENTS).any():
+            column = np.array([composed(one) for one in column.tolist()])
         return column
     except (TypeError, ValueError) as error:
         what = "texts" if name in _TEXT else "numbers"

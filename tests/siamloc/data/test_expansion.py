@@ -61,6 +61,12 @@ def test_a_folder_whose_name_would_rename_the_sequence_is_refused(tmp_path):
     assert len(data.read("cold", root=tmp_path)) == 6
 
 
+def test_a_sequence_whose_folder_writes_its_accents_as_characters_of_their_own_is_expanded(tmp_path):
+    frames = cold_frames("/drives/Bu\u0308ro").with_columns(sequence=["Bu\u0308ro"] * 3)
+    files = expanded("cold", frames, "/drives", tmp_path)
+    assert {path.parents[1].name for row in files for path in row} == {"Bu\u0308ro"}
+
+
 def test_frames_that_would_share_a_name_are_an_error(tmp_path):
     frames = cold_frames(times=(10.5, 11.0, 11.0)).take([1, 2]).with_columns(theta=[3.0, 3.0])
     with pytest.raises(DataError, match=r"would both be expanded to .*give them different names or times"):

@@ -4,6 +4,7 @@ import copy
 import math
 import pickle
 from datetime import datetime
+from unicodedata import normalize
 
 import numpy as np
 import pytest
@@ -160,6 +161,16 @@ def test_a_label_that_frames_carry_is_no_pattern():
     assert numbers(frames.select(sequence="Tag [1]")) == [0]
     assert numbers(frames.take([1, 2]).select(sequence="Tag [1]")) == [1]
     assert Protocol.of({"map": {"sequences": ["Tag [1]"]}}).without_role(frames) == ["Tag 1", "Abend"]
+
+
+def test_a_label_is_the_same_whether_its_accents_are_characters_of_their_own():
+    one, two = (normalize(form, "Büro") for form in ("NFC", "NFD"))
+    frames = FrameTable(path=[f"{two}/1.jpg", "2.jpg", "3.jpg"], room=[one, two, "Bad"], sequence=[two, one, "b"])
+    assert frames.path[0] == f"{two}/1.jpg", "a path names a file"
+    assert (frames.room.tolist(), frames.sequence.tolist()) == ([one, one, "Bad"], [one, one, "b"])
+    for wanted in (one, two, two[:-1] + "*"):
+        assert numbers(frames.select(room=wanted).take([1])) == [2]
+    assert Protocol.of({"map": {"sequences": [two]}}).without_role(frames) == ["b"]
 
 
 @given(st.lists(st.sampled_from("abc"), max_size=30), st.integers(1, 7))
