@@ -86,12 +86,13 @@ _SHOTS: dict[str, list[Shot]] = {
 }
 
 
-def preview(batch: Tensor, cell: int = 288) -> Picture:
+def preview(batch: Tensor, cell: int = 288, circular: bool = True) -> Picture:
     """Draw a labelled contact sheet of all effects at several strengths, and of the policies.
 
     Args:
         batch: panoramas (B, 3, H, W) to show the effects on, in turn; 128 x 512 pixels look best.
         cell: width of an image in pixels; panoramas are resized to it. Images below 220 pixels have no captions.
+        circular: whether the columns wrap around; if not, no image is turned, and `rotate` is left out.
 
     Returns:
         The sheet (rows, columns, 3), RGB, uint8.
@@ -106,19 +107,22 @@ def preview(batch: Tensor, cell: int = 288) -> Picture:
     """
     check_batch(batch)
     checked(cell, Count, "cell", AugmentError)
+    checked(circular, bool, "circular", AugmentError)
     if len(batch) == 0:
         raise AugmentError("a preview needs at least one panorama, got an empty batch")
     frames = batch.cpu() if batch.dtype == torch.uint8 else (batch.cpu() * 255).round().to(torch.uint8)
     cells: list[tuple[str, str, Picture]] = []
-    for number, name in enumerate(EFFECTS):
+    for number, name in enumerate(names := [name for name in EFFECTS if circular or name != "rotate"]):
         frame = frames[number % len(frames)][None]
         for caption, values in _SHOTS.get(name) or _series("strength {:g}", "at", 0.3, 0.6, 1.0):
-            cells.append((name, caption, _small(_shoot(name, values, frame), cell)))
+            caption = caption if circular else caption.replace("across the seam", "at the edge")
+            cells.append((name, caption, _small(_shoot(name, {**values, "circular": circular}, frame), cell)))
     for number, name in enumerate(POLICIES[1:]):
-        frame = frames[(len(EFFECTS) + number) % len(frames)][None]
-        drawn = policy(name)(frame, torch.Generator().manual_seed(_DRAW))[0]
+        frame = frames[(len(names) + number) % len(frames)][None]
+        drawn = policy(name, circular=circular)(frame, torch.Generator().manual_seed(_DRAW))[0]
         cells.append(("policy", name, _small(drawn, cell)))
-    return _sheet(cells, [_small(frame, cell) for frame in frames[:_COLUMNS]], cell)
+    shown = "panoramas whose columns wrap around" if circular else "images whose columns do not wrap around"
+    return _sheet(cells, [_small(frame, cell) for frame in frames[:_COLUMNS]], cell, shown)
 
 
 def _shoot(name: str, values: Mapping[str, Any], frame: Tensor) -> Tensor:
@@ -128,7 +132,7 @@ def _shoot(name: str, values: Mapping[str, Any], frame: Tensor) -> Tensor:
     params = built.at(values.get("at", 1), frame)
     if "row" in params:
         row, column = _plain_place(frame[0], 110 if values["tone"] == "light" else 170)
-        if "column" in values:  # moves the surface to the column where the spot will be
+        if "column" in values and built.circular:  # moves the surface to the column where the spot will be
             frame = frame.roll(values["column"] - column, dims=3)
         params["row"][0], params["column"][0] = row, column
     for key in values.keys() & params.keys():
@@ -157,7 +161,7 @@ def _small(frame: Tensor, cell: int) -> Picture:
     return np.asarray(cv2.resize(picture, (cell, height), interpolation=way), dtype=np.uint8)
 
 
-def _sheet(cells: list[tuple[str, str, Picture]], originals: list[Picture], cell: int) -> Picture:
+def _sheet(cells: list[tuple[str, str, Picture]], originals: list[Picture], cell: int, shown: str) -> Picture:
     """Lay the cells out row by row, three for each effect, with names and values above them."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -179,7 +183,7 @@ def _sheet(cells: list[tuple[str, str, Picture]], originals: list[Picture], cell
 
     write("Effects of augment", _MARGIN, 46, 19, weight="bold")
     if cell >= _CAPTIONED:
-        write("each at three strengths, on panoramas whose columns wrap around", _MARGIN, 70, 10.5, _PALE)
+        write(f"each at three strengths, on {shown}", _MARGIN, 70, 10.5, _PALE)
     top = _TITLE + _CAPTION - 8
     placed = [(top, left_of(column), originals[column % len(originals)]) for column in range(_COLUMNS)]
     write("originals", _MARGIN, _TITLE + _CAPTION - 14, 10.5, weight="bold")

@@ -102,6 +102,7 @@ class Preview(DataJob):
             paths = self.data.read().path.tolist()
         panoramas = self.preprocessing.panoramas(paths, self.count) if paths else simulate.panoramas(self.count)
         count = len(panoramas)
-        write_picture(self.out, augment.preview(torch.from_numpy(panoramas)))
-        say(f"{self.out}: {len(augment.EFFECTS)} effects on {count} panorama{'s' * (count > 1)}")
+        circular = self.data.circular
+        write_picture(self.out, augment.preview(torch.from_numpy(panoramas), circular=circular))
+        say(f"{self.out}: {len(augment.EFFECTS) - (not circular)} effects on {count} panorama{'s' * (count > 1)}")
         return Path(self.out)

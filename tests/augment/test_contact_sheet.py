@@ -32,6 +32,18 @@ def test_an_effect_of_ones_own_is_shown_at_three_strengths_of_its_ranges(monkeyp
     assert all((one != other).any() for one, other in pairwise(places))
 
 
+def test_images_whose_columns_do_not_wrap_around_are_not_turned(monkeypatch):
+    monkeypatch.setattr("augment.contact_sheet.EFFECTS", ("bulb", "rotate"))
+    monkeypatch.setattr("augment.contact_sheet.POLICIES", ("none",))
+    batch = panoramas(1, 16, 48)
+    sheet = augment.preview(batch, cell=48, circular=False)
+    row = sheet[-36 - 16 : -36]
+    at_the_edge = row[:, 36 + 2 * 58 : 84 + 2 * 58]
+    assert (at_the_edge[:, 24:] == batch[0, :, :, 24:].permute(1, 2, 0).numpy()).all(), "it is not moved"
+    assert (at_the_edge[:, :24] != batch[0, :, :, :24].permute(1, 2, 0).numpy()).any(), "it has a spot"
+    assert (row[:, 84 + 2 * 58 :] == 255).all(), "rotate is left out"
+
+
 def test_what_cannot_be_shown():
     with pytest.raises(augment.AugmentError, match="a preview needs at least one panorama"):
         augment.preview(panoramas(0))

@@ -85,5 +85,7 @@ def test_a_preview_of_data_and_of_files(manifest, tmp_path, capsys):
     image = data.read("manifest", manifest=manifest).path[0]
     done("augment", "preview", f"images=[{image}]", size, f"out={tmp_path / 'sheet.jpg'}")
     assert f"{len(augment.EFFECTS)} effects on 1 panorama\n" in capsys.readouterr().out
+    done("augment", "preview", "data.circular=false", size, f"out={tmp_path / 'sheet.jpg'}", "count=1")
+    assert f"{len(augment.EFFECTS) - 1} effects on 1 panorama\n" in capsys.readouterr().out, "all but rotate"
     for shown, out, says in ((manifest, "sheet.png", " cannot be shown: "), (image, "sheet.txt", "must be a picture")):
         assert says in refused(capsys, "augment", "preview", f"images=[{shown}]", f"out={tmp_path / out}")
