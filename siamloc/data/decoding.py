@@ -25,7 +25,7 @@ from siamloc.data.levelling import SIZE, tilt_of
 from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, in_pixels, seen, unwrap
 from siamloc.data.photo_sphere import stated
 from siamloc.data.two_lenses import wrong_lenses
-from siamloc.errors import ConfigError, DataError, hint, say_once
+from siamloc.errors import ConfigError, DataError, Policy, hint, leave_out, say_once
 
 _SIZED = 5  # pictures whose sizes are looked at
 _ALIKE = 0.01  # by which the shapes of pictures may differ that are scaled
@@ -208,17 +208,26 @@ class Preprocessing:
             raise UnreadableImageError(f"the image cannot be brought to size ({error.err})") from error
         return np.ascontiguousarray(picture[..., ::-1].transpose(2, 0, 1))
 
-    def panoramas(self, paths: Sequence[str | Path], count: int) -> NDArray[np.uint8]:
+    def panoramas(self, paths: Sequence[str | Path], count: int, on_error: Policy = "skip") -> NDArray[np.uint8]:
         """Read up to `count` images, spread evenly over a list, and return their panoramas (B, 3, H, W), uint8, RGB.
 
+        Args:
+            paths: the files, as for `panorama`.
+            count: how many of them are read.
+            on_error: "skip" leaves unreadable images out and reports them, "raise" stops.
+
         Raises:
-            DataError: an image that cannot be read.
+            DataError: an unreadable image under "raise", or nothing but unreadable images.
         """
-        sized = self.sized_by(paths)
-        try:
-            return np.stack([sized.panorama(path := one) for one in spread(paths, count)])
-        except UnreadableImageError as error:
-            raise DataError(f"{path} cannot be shown: {error}") from error
+        sized, chosen = self.sized_by(paths), spread(paths, count)
+        read, faults = [], []
+        for path in chosen:
+            try:
+                read.append(sized.panorama(path))
+            except UnreadableImageError as error:
+                faults.append(f"{path}: {error}")
+        leave_out(faults, len(chosen), "images cannot be read", on_error)
+        return np.stack(read)
 
     def prepare(
         self, pixels: NDArray[np.uint8], tilt: NDArray[np.float64] | Sequence[float] | None = None

@@ -100,9 +100,11 @@ class Preview(DataJob):
             paths = [str(path) for name, files in listed for path in files or [Path(name)]]
         elif self.data.where:
             paths = self.data.read().path.tolist()
-        panoramas = self.preprocessing.panoramas(paths, self.count) if paths else simulate.panoramas(self.count)
-        count = len(panoramas)
-        circular = self.data.circular
+        if paths:
+            panoramas = self.preprocessing.panoramas(paths, self.count, self.data.on_error)
+        else:
+            panoramas = simulate.panoramas(self.count)
+        count, circular = len(panoramas), self.data.circular
         write_picture(self.out, augment.preview(torch.from_numpy(panoramas), circular=circular))
         say(f"{self.out}: {len(augment.EFFECTS) - (not circular)} effects on {count} panorama{'s' * (count > 1)}")
         return Path(self.out)

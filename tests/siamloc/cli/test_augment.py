@@ -87,5 +87,13 @@ def test_a_preview_of_data_and_of_files(manifest, tmp_path, capsys):
     assert f"{len(augment.EFFECTS)} effects on 1 panorama\n" in capsys.readouterr().out
     done("augment", "preview", "data.circular=false", size, f"out={tmp_path / 'sheet.jpg'}", "count=1")
     assert f"{len(augment.EFFECTS) - 1} effects on 1 panorama\n" in capsys.readouterr().out, "all but rotate"
-    for shown, out, says in ((manifest, "sheet.png", " cannot be shown: "), (image, "sheet.txt", "must be a picture")):
+    (tmp_path / "some").mkdir()
+    cv2.imwrite(str(tmp_path / "some" / "a.png"), np.zeros((32, 128, 3), np.uint8))
+    (tmp_path / "some" / "b.png").write_bytes(b"no image")
+    some = ["augment", "preview", f"images=[{tmp_path / 'some'}]", size, f"out={tmp_path / 'sheet.jpg'}"]
+    done(*some)
+    assert "effects on 1 panorama\n" in capsys.readouterr().out
+    assert "b.png" in refused(capsys, *some, "data.on_error=raise")
+    unread = "1 of 1 images cannot be read, the first: "
+    for shown, out, says in ((manifest, "sheet.png", unread), (image, "sheet.txt", "must be a picture")):
         assert says in refused(capsys, "augment", "preview", f"images=[{shown}]", f"out={tmp_path / out}")
