@@ -50,6 +50,8 @@ class Expanded:
         written: number of images written by this call.
         kept: number of images that were already there.
         failed: why images were left out, one sentence each.
+        image_size: rows and columns of the images.
+        circular: whether their columns wrap around.
     """
 
     folder: Path
@@ -59,6 +61,8 @@ class Expanded:
     written: int
     kept: int
     failed: tuple[str, ...]
+    image_size: tuple[int, int]
+    circular: bool
 
     @property
     def source(self) -> dict[str, Any]:
@@ -77,8 +81,9 @@ class Expanded:
         count = self.written + self.kept
         lines.append(f"{self.folder}: {count} images of {self.frames} frames, {self.depth} each{before}")
         words = {"data" if key == "kind" else f"data.{key}": value for key, value in self.source.items()}
-        unwrap = {"unwrap": "none"} if self.kind == "cold" else {}
-        lines.append(f"train with: siamloc train {as_words({**words, **unwrap, 'protocol.train.sequences': ['*']})}")
+        words |= {"unwrap": "none"} if self.kind == "cold" else {}
+        words |= {"data.image_size": self.image_size, **({} if self.circular else {"data.circular": False})}
+        lines.append(f"train with: siamloc train {as_words({**words, 'protocol.train.sequences': ['*']})}")
         return "\n".join(lines)
 
 
@@ -156,7 +161,8 @@ def expand(
         raise DataError(f"none of the {len(frames)} images could be read, the first: {done.failed[0][1]}")
     write_lists(kind, frames.take(made), [pictures[row] for row in np.flatnonzero(made)], folder, turns[made])
     reasons = tuple(reason for _, reason in done.failed)
-    return Expanded(folder, kind, int(made.sum()), depth, done.written, done.kept, reasons)
+    size = (decode.view.height, decode.view.width)
+    return Expanded(folder, kind, int(made.sum()), depth, done.written, done.kept, reasons, size, circular)
 
 
 def outputs(kind: str, frames: FrameTable, root: Path, folder: Path, theta: NDArray[np.float64]) -> list[list[Path]]:

@@ -48,7 +48,8 @@ def test_one_unreadable_image_is_left_out_and_said(manifest, tmp_path, capsys):
     done(*words(table, tmp_path / "out"))
     said = capsys.readouterr().out
     assert "left out: 1 of 3 images, the first: " in said
-    assert said.rstrip().endswith("""/manifest.csv 'protocol.train.sequences=["*"]'"""), "training needs sequences"
+    words_of_training = "/manifest.csv 'data.image_size=[32, 128]' 'protocol.train.sequences=[\"*\"]'"
+    assert said.rstrip().endswith(words_of_training), "training needs sequences"
     assert len(data.read("manifest", manifest=tmp_path / "out" / "manifest.csv")) == 32
     assert str(broken) in refused(capsys, *words(table, tmp_path / "strict", "data.on_error=raise"))
 
@@ -72,7 +73,8 @@ def test_a_data_set_is_not_expanded_into_itself(tmp_path, capsys):
     cv2.imwrite(str(room / "a.png"), np.zeros((8, 32, 3), np.uint8))
     common = ["augment", "expand", "data=folder", f"data.root={tmp_path / 'in'}", "data.image_size=[8,32]"]
     assert "lies in the data set" in refused(capsys, *common, f"out={tmp_path / 'in' / 'more'}")
-    done(*common, f"out={tmp_path / 'out'}", "depth=4")
+    done(*common, f"out={tmp_path / 'out'}", "depth=4", "data.circular=false")
+    assert "'data.image_size=[8, 32]' data.circular=false 'protocol" in capsys.readouterr().out
     assert len(list((tmp_path / "out" / "train" / "KT-A").iterdir())) == 4
     with (tmp_path / "out" / "augmentation.csv").open(newline="") as file:
         assert all(json.loads(row["parameters"]) for row in csv.DictReader(file))

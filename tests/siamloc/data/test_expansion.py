@@ -129,7 +129,8 @@ def test_a_single_list_of_cold_is_expanded(tmp_path):
     frames = data.read("cold", places=drive / "places.lst")
     done = data.expand(frames, tmp_path / "my out", depth=1, image_size=(16, 64))
     assert done.summary().endswith(
-        f"siamloc train data=cold 'data.root={done.folder}' unwrap=none 'protocol.train.sequences=[\"*\"]'"
+        f"siamloc train data=cold 'data.root={done.folder}' unwrap=none 'data.image_size=[16, 64]' "
+        "'protocol.train.sequences=[\"*\"]'"
     )
     assert [path.name for path in done.folder.rglob("*.jpeg")] == [name]
     assert data.read(**done.source).sequence.tolist() == ["seq1_night2"]
