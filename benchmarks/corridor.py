@@ -7,7 +7,7 @@ spread; positions are counted in frames. For one seed of `ours`, these commands 
 
     siamloc train experiment=corridor data.manifest=corridor/manifest.csv run=runs/corridor seed=0
     siamloc map run=runs/corridor
-    siamloc evaluate run=runs/corridor task.filter=true
+    siamloc evaluate run=runs/corridor task.filter=true task.radii=[3]
 
 Targets for the mean of `ours` over the seeds: 75 % of the queries within 3 frames, 95 % with the sequence filter, and
 more than every other row.
