@@ -51,6 +51,11 @@ class Training(Settings):
         ({"chance": 1}, "train.chance must be a number between 0 and 1, got 1"),
         ({"size": [128]}, r"train.size must be \[rows, columns\], each from 1 to 16,384 pixels, got \[128\]"),
         ({"radii": "abc"}, "train.radii must be a list, each item a number above 0, got 'abc'"),
+        (
+            {"names": ["a", 20240105]},
+            r"a text, or null, got \['a', 20240105\]: put .* in quotes, such as '\[\"2024_01_05\"\]'",
+        ),
+        ({"names": ["a", None]}, r"a text, or null, got \['a', None\]$"),
         ({"where": 3}, "train.where must be a path, or null, got 3"),
         ({"flag": 1}, "train.flag must be true or false, got 1"),
         ({"inner": 3}, "train.inner must be a group with the keys rate, name, got 3"),
