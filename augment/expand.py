@@ -67,8 +67,8 @@ def expand(
 ) -> Expansion:
     """Write the variants of images, each file whole or not at all.
 
-    `augment.variants(depth)[variant].policy.apply(image, {key: [value] for key, value in parameters.items()})` makes an
-    image again, from the variant and the parameters in its row of the table.
+    `augment.variants(depth, circular)[variant].policy.apply(image, {key: [value] for key, value in row.items()})`, with
+    the parameters in the row of an image in the table, makes that image again.
 
     Args:
         images: the n source images, at least one.
