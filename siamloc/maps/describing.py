@@ -149,6 +149,8 @@ def build(
         wanted = images.circular if by.tells_heading else getattr(by, "compares", False)
         turning = NetworkHeading(by.tells_heading) if wanted else None
         orientation = None if turning is None else orientation
+    elif own is not None and second is None and not (own.tells_heading or own.aligned):
+        orientation = None  # which nothing would compare
     if turning is not None and orientation is not None:
         orientation = halved(turning, orientation)
     made = {**(made or {}), **({} if mounting in (None, Mounting()) else {"mounting": mounting.plain()})}

@@ -257,6 +257,23 @@ def test_a_network_that_finds_headings_keeps_them_in_its_map(images, tmp_path):
     assert known.digest == build(network, library, frames, heading="hog", progress=False).digest
 
 
+def test_a_map_of_ordinary_images_keeps_no_orientation_parts_that_nothing_compares(images, tmp_path):
+    frames = images[0]
+    flat = PanoramaLibrary(frames, tmp_path / "cache", image_size=SIZE, circular=False)
+    hog, wisurf = analytic.descriptor("hog", circular=False), analytic.descriptor("wisurf", windows=32, circular=False)
+    known = build(hog, flat, frames, progress=False)
+    assert known.orientation is None
+    assert build(wisurf, flat, frames, progress=False).orientation is not None, "it compares them"
+    assert build(analytic.descriptor("hog"), images[1], frames, progress=False).orientation is not None
+    seen = Description.concatenate(list(describe(known, flat, known.frames)))
+    assert seen.orientation is not None
+    replace(known, orientation=seen.orientation).save(tmp_path / "map.npz")  # as maps used to be
+    kept = VisualMap.load(tmp_path / "map.npz", hog)
+    assert kept.orientation is not None
+    for one in (known, kept):
+        np.testing.assert_array_equal(match(one, seen).indices[:, 0], np.arange(6))
+
+
 def test_a_network_that_compares_ordinary_images_keeps_what_it_compares_and_no_heading(images, tmp_path):
     frames = replace(images[0], unit="m")
     flat = PanoramaLibrary(frames, tmp_path / "cache", image_size=SIZE, circular=False)
