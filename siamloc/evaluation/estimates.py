@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.columns import Rows
 from foundation.settings import Count, NotNegative, Positive, Probability, Settings
 from siamloc.data.checks import wrong_headings
 from siamloc.data.frames import FrameTable
@@ -57,8 +58,8 @@ class Estimates(Settings):
     """Which estimates are made of each query's position in addition to the nearest map frame's position.
 
     Attributes:
-        filter: track the robot through each sequence; keeps the distances of all queries to all map frames. With
-            `refine`, poses between map frames are tracked as well.
+        filter: track the robot through each sequence, also by queries without a position, which are not scored; keeps
+            the distances of all queries to all map frames. With `refine`, poses between map frames are tracked as well.
         filter_settings: temperature and probability of kidnapping of that filter.
         filter_tune: choose temperature and kidnapping on the validation frames.
         refine: a pose finer than the map: "interpolate" takes one between the nearest map frames, "relative" compares
@@ -107,19 +108,51 @@ class Learned:
 
 @dataclass(frozen=True)
 class Validation:
-    """Validation frames with positions, searched in the map like queries.
+    """Validation frames, searched in the map like queries.
 
     Attributes:
-        frames: n validation frames.
-        search: the search for all of them.
+        drive: all validation frames.
+        search: the search for the n frames that have positions.
         elsewhere: a search for the same frames among distant map frames only, which imitates images of places that the
             map lacks; for validation frames with enough distant map frames. None if no frame has enough, or nothing
             needs this search.
+        bare: the search for the frames without positions, through which the filter tracks the robot as well. None if
+            there are none, or nothing needs this search.
     """
 
-    frames: FrameTable
+    drive: FrameTable
     search: Search
     elsewhere: Search | None = None
+    bare: Search | None = None
+
+    @property
+    def frames(self) -> FrameTable:
+        """The n validation frames that have positions."""
+        return self.drive.take(self.search.rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Tracked(Rows):
+    """What the filters take of each query of a drive, with a position or without, in capture order.
+
+    Attributes:
+        row: rows of the queries (n,).
+        distances: distances to all map frames (n, m).
+        refined: refined poses; None unless requested.
+    """
+
+    row: NDArray[np.int64]
+    distances: NDArray[np.float64]
+    refined: RefinedPoses
+
+    @classmethod
+    def of(cls, *searches: Search | None) -> Tracked:
+        """Return the queries of several searches in the same map; None stands for no query."""
+        parts = [cls(one.rows, one.found.distances, one.found.refined) for one in searches if one is not None]
+        if len(parts) == 1:
+            return parts[0]  # the distances are large
+        whole = cls.concatenate(parts)
+        return whole.take(np.argsort(whole.row))
 
 
 def search_validation(session: Session, frames: FrameTable | None, settings: Estimates, known: VisualMap) -> Validation:
@@ -140,15 +173,17 @@ def search_validation(session: Session, frames: FrameTable | None, settings: Est
     k = min(max(MATCHES, settings.neighbours), len(known))
     finer, rows = refinement(settings, known), np.flatnonzero(has)
     search = Search(known, rows, k, refinement=finer, with_distances=settings.filter_tune)
-    elsewhere = None
+    elsewhere, bare = None, None
+    if settings.filter_tune and not has.all():
+        bare = Search(known, np.flatnonzero(~has), 1, with_distances=True)
     if settings.error_model and comparison_of(known) is None:
         offsets = (known.frames.xy - xy for xy in frames.xy[search.rows])
         near = np.stack([np.hypot(*offset.T) <= _ELSEWHERE * settings.place_radius for offset in offsets])
         enough = (~near).sum(axis=1) >= k
         if enough.any():
             elsewhere = Search(known, search.rows[enough], k, excluded=near[enough])
-    session.run(known, frames, filter(None, (search, elsewhere)), "the validation frames", Stopwatch())
-    return Validation(frames.take(has), search, elsewhere)
+    session.run(known, frames, filter(None, (search, elsewhere, bare)), "the validation frames", Stopwatch())
+    return Validation(frames, search, elsewhere, bare)
 
 
 def refinement(settings: Estimates, known: VisualMap) -> Refinement | None:
@@ -218,23 +253,27 @@ def learn(session: Session, settings: Estimates, search: Search) -> Learned:
 
 
 def with_estimates(
-    result: Result, settings: Estimates, search: Search, queries: FrameTable, learned: Learned
+    result: Result, settings: Estimates, search: Search, frames: FrameTable, learned: Learned, bare: Search | None
 ) -> Result:
     """Return a result of absolute localization with the further estimates that the settings request.
 
     Args:
         result: result of the single-frame estimates.
         settings: settings of the task.
-        search: a search that `prepared` returned and that has been run.
-        queries: the queries of the search (n), all with positions.
+        search: a search that `prepared` returned and that has been run, for the n queries with positions.
+        frames: all queries.
         learned: what was learned for the map.
+        bare: such a search for the queries without positions; None if there are none.
     """
     finer, model, made = learned.refinement, learned.errors, dict(learned.about)
+    queries = frames.take(search.rows)
     if settings.filter:
-        columns, made["filter"], between = filtered(settings, search, queries, learned.validation)
+        whole = Tracked.of(search, bare)
+        drive = frames.take(whole.row)
+        columns, made["filter"], between = filtered(settings, search.known, drive, whole, learned.validation)
         result = _with_columns(result, "filtered", columns)
         if settings.refine == "interpolate":
-            steps = {key: made["filter"][key] for key in ("step", "kidnapping")} | _by_wheels(queries)
+            steps = {key: made["filter"][key] for key in ("step", "kidnapping")} | _by_wheels(drive)
             made["tracking"] = {**steps, "radius": settings.place_radius}
             result = _with_columns(result, "tracked", estimate_columns("tracked", between, queries))
     if finer is not None:
@@ -242,7 +281,8 @@ def with_estimates(
         result = _with_columns(result, ESTIMATES[finer.method], refined(finer, poses, queries))
         if settings.filter and finer.method == "relative":
             step, kidnapping = made["filter"]["step"], settings.filter_settings.kidnapping
-            columns, made["tracking"] = tracked(step, kidnapping, queries, poses)
+            poses = whole.refined.widened(finer.widening)
+            columns, made["tracking"] = tracked(step, kidnapping, drive, poses)
             result = _with_columns(result, "tracked", columns)
     if model is not None:
         expected, lost = model.judged(
@@ -258,38 +298,40 @@ def with_estimates(
 
 
 def filtered(
-    settings: Estimates, search: Search, queries: FrameTable, validation: Validation | None
+    settings: Estimates, known: VisualMap, drive: FrameTable, whole: Tracked, validation: Validation | None
 ) -> tuple[Columns, dict[str, Any], NDArray[np.float64]]:
     """Track the robot through the queries of each sequence, by their odometry where they have any.
 
     Args:
         settings: gives the temperature and the probability of kidnapping, or asks to choose them.
-        search: a search with distances that has been run for the queries.
-        queries: the n queries.
+        known: the map.
+        drive: all queries, of which n have positions.
+        whole: the distances of all queries.
         validation: the frames on which temperature and kidnapping are chosen with `filter_tune`; else None.
 
     Returns:
-        The columns, the filter's parameters, and positions (n, 2) between map frames.
+        The columns of the n queries with positions, the filter's parameters, and positions (n, 2) between map frames.
     """
-    known = search.known
     temperature, kidnapping = settings.filter_settings.temperature, settings.filter_settings.kidnapping
     if temperature is None:
         temperature = temperature_of_map(known)
     tuned = None
     if validation is not None and settings.filter_tune:
-        frames = validation.frames
+        frames = validation.drive
         motion = MotionModel.learn(known.frames, interval=_interval(frames))
-        given = validation.search.found.distances, frames.xy, frames.sequence
+        given = Tracked.of(validation.search, validation.bare).distances, frames.xy, frames.sequence
         best = tune_filter(motion, *given, temperature, moves=motions(frames))[0]
         temperature, kidnapping = best.temperature, best.kidnapping
-        tuned = {"queries": len(frames), "error": best.error}
-    motion = MotionModel.learn(known.frames, interval=_interval(queries))
+        tuned = {"queries": len(validation.frames), "error": best.error}
+    motion = MotionModel.learn(known.frames, interval=_interval(drive))
     track = SequenceFilter(motion, temperature, kidnapping).run(
-        search.found.distances, queries.sequence, settings.place_radius, motions(queries)
+        whole.distances, drive.sequence, settings.place_radius, motions(drive)
     )
+    scored = drive.has_position
+    track = track.take(scored)
     assert track.xy is not None
     columns = {
-        **estimate_columns("filtered", known.frames.xy[track.frame], queries),
+        **estimate_columns("filtered", known.frames.xy[track.frame], drive.take(scored)),
         "filtered_match": track.frame,
         "filtered_probability": track.probability,
         "filtered_spread": track.spread,
@@ -300,7 +342,7 @@ def filtered(
         "step": motion.step,
         "spacing": motion.spacing,
         "tuned": tuned,
-        **_by_wheels(queries),
+        **_by_wheels(drive),
     }
     return columns, about, track.xy
 
@@ -315,8 +357,10 @@ def refined(refinement: Refinement, poses: RefinedPoses, queries: FrameTable) ->
     return {**columns, "refined_match": poses.frame, "refined_agreement": agreement, "refined_inside": inside}
 
 
-def tracked(step: float, kidnapping: float, queries: FrameTable, poses: RefinedPoses) -> tuple[Columns, dict[str, Any]]:
+def tracked(step: float, kidnapping: float, drive: FrameTable, poses: RefinedPoses) -> tuple[Columns, dict[str, Any]]:
     """Filter refined poses along the queries of each sequence; return their columns and the filter's parameters.
+
+    The columns are those of the queries with positions.
 
     The filter moves by the odometry of the queries, where they have any.
 
@@ -324,20 +368,22 @@ def tracked(step: float, kidnapping: float, queries: FrameTable, poses: RefinedP
         step: distance the robot moves between two queries, learned from the map; the median step of the query poses if
             that is larger.
         kidnapping: probability, from one query to the next, that the robot was carried elsewhere, as for `PoseFilter`.
-        queries: the n queries, whose sequences are filtered one by one.
+        drive: the n queries, whose sequences are filtered one by one.
         poses: refined poses of the queries (n).
     """
-    gone = [np.hypot(*np.diff(poses.xy[rows], axis=0).T) for rows in queries.rows_by("sequence").values()]
+    gone = [np.hypot(*np.diff(poses.xy[rows], axis=0).T) for rows in drive.rows_by("sequence").values()]
     usual = float(np.median(steps)) if len(steps := np.concatenate([np.empty(0), *gone])) else 0.0
     step = max(step, usual, _STANDING)
-    found = PoseFilter(step, kidnapping).run(poses, queries.sequence, motions(queries))
+    scored = drive.has_position
+    found = PoseFilter(step, kidnapping).run(poses, drive.sequence, motions(drive)).take(scored)
+    queries = drive.take(scored)
     columns = {
         **estimate_columns("tracked", found.xy, queries, found.theta),
         "tracked_match": found.frame,
         "tracked_agreement": found.agreement,
         "tracked_inside": found.inside(queries.xy),
     }
-    return columns, {"step": step, "kidnapping": kidnapping, **_by_wheels(queries)}
+    return columns, {"step": step, "kidnapping": kidnapping, **_by_wheels(drive)}
 
 
 def learned_errors(

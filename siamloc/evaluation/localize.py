@@ -210,7 +210,8 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
         try:
             inside = known.placed()
             excluded = session.protocol.excluded(queries.take(bare), inside.frames)
-            searches["located"] = prepared(unfiltered, Search(inside, bare, 1, excluded=excluded))
+            along = settings if "absolute" in searches else unfiltered
+            searches["located"] = prepared(along, Search(inside, bare, 1, excluded=excluded))
         except DataError as error:  # without positions along the drive, near frames cannot be left out
             skipped["located"] = str(error)
     if not searches:
@@ -224,7 +225,7 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
         found = evaluate_absolute(search.known, placed, own.retrieval, *recalls, own.heading, search.excluded)
         if main:
             learned = learn(session, settings, search)
-            found = with_estimates(found, settings, search, placed, learned)
+            found = with_estimates(found, settings, search, queries, learned, searches.get("located"))
         result = result.joined(found)
     if search := searches.get("room_retrieval"):
         labelled = queries.take(search.rows)

@@ -370,7 +370,7 @@ def tune_filter(
     Args:
         motion: motion model of a robot in the map (m frames).
         distances: (n, m) from the validation queries to the map.
-        true_xy: (n, 2) true positions of the queries.
+        true_xy: (n, 2) true positions of the queries; NaN where unknown, which does not count.
         sequence: (n,) sequences of the queries.
         temperature: the temperature that suits single queries.
         softer: factors of the temperature to try, positive.
@@ -380,16 +380,17 @@ def tune_filter(
 
     Raises:
         ConfigError: nothing to try, or values out of range.
-        DataError: arrays that do not match each other.
+        DataError: arrays that do not match each other, or no true position.
     """
     if not len(softer) or not len(kidnapping):
         raise ConfigError("tuning a sequence filter needs at least one factor and one probability to try")
     true = np.asarray(true_xy, dtype=np.float64)
-    if true.shape != (len(np.asarray(sequence)), 2) or not np.isfinite(true).all():
-        raise DataError(f"validation queries need true positions of shape (n, 2), all known, got {true.shape}")
+    known = np.isfinite(true).all(axis=-1)
+    if true.shape != (len(np.asarray(sequence)), 2) or not known.any():
+        raise DataError(f"validation queries need true positions of shape (n, 2), some of them known, got {true.shape}")
     tried = []
     for factor, probability in product(softer, kidnapping):
         track = SequenceFilter(motion, temperature * factor, probability).run(distances, sequence, motion=moves)
-        error = np.hypot(*(motion.xy[track.frame] - true).T)
+        error = np.hypot(*(motion.xy[track.frame] - true)[known].T)
         tried.append(TunedFilter(float(temperature * factor), float(probability), float(error.mean())))
     return sorted(tried, key=lambda settings: settings.error)

@@ -215,6 +215,35 @@ def test_poses_by_comparison_with_map_frames(world, tmp_path, monkeypatch):
         evaluation.localization(reads, images, tuesday, refine="relative")
 
 
+def test_a_robot_is_tracked_through_queries_without_a_position(world):
+    images, monday, tuesday, _, reads = world
+    network = build("panoresnet", "magnitudes", images.image_shape[1:], circular=True, relative=True)
+    compares = maps.build(network, images, monday, progress=False)
+    driven = tuesday.with_columns(odom_x=tuesday.x, odom_y=tuesday.y, odom_theta=tuesday.theta)
+    some = driven.with_columns(x=np.where(np.arange(len(driven)) % 3 == 1, np.nan, driven.x))
+    for known, refine in ((compares, "relative"), (reads, "interpolate")):
+        whole, part = (
+            evaluation.localization(known, images, queries, refine=refine, neighbours=2, filter=True)
+            for queries in (driven, some)
+        )
+        for about in ("filter", "tracking"):
+            assert part.about["estimates"][about] == whole.about["estimates"][about]
+        np.testing.assert_array_equal(part.columns["path"], driven.path[some.has_position])
+        for name in ("filtered_match", "filtered_probability", "filtered_error", "tracked_est_x", "tracked_error"):
+            np.testing.assert_allclose(part.columns[name], whole.columns[name][some.has_position], rtol=1e-4, atol=1e-5)
+
+
+def test_a_filter_is_tuned_on_a_whole_drive_by_the_frames_with_positions(world):
+    images, _, tuesday, sunday, known = world
+    part = sunday.with_columns(x=np.where(np.arange(len(sunday)) % 2, np.nan, sunday.x))
+    result = evaluation.localization(known, images, tuesday, validation=part, filter=True, filter_tune=True)
+    apart = maps.frame_distances(known, known.descriptor.describe(images.batch(images.rows(sunday))))
+    model = maps.MotionModel.learn(known.frames, interval=float(np.median(np.diff(sunday.time))))
+    best = maps.tune_filter(model, apart, part.xy, part.sequence, maps.temperature_of_map(known))[0]
+    tuned = {"queries": int(part.has_position.sum()), "error": pytest.approx(best.error)}
+    assert result.about["estimates"]["filter"]["tuned"] == tuned
+
+
 def test_hierarchical_search_of_all_nodes_is_the_search_of_the_map(world):
     images, _, tuesday, _, known = world
     built = maps.group(known, "sample", nodes=8)

@@ -207,6 +207,9 @@ def test_tuning_finds_settings_that_suit_the_validation_sequence() -> None:
     assert (tried[0].temperature, tried[0].kidnapping) == (0.1, 1e-4)
     best = SequenceFilter(motion, 0.1, 1e-4).run(distances, names)
     assert tried[0].error == pytest.approx(np.hypot(*(motion.xy[best.frame] - truth).T).mean())
+    truth[::2] = math.nan
+    known = tune_filter(motion, distances, truth, names, 0.1, softer=(1,), kidnapping=(1e-4,))[0]
+    assert known.error == pytest.approx(np.hypot(*(motion.xy[best.frame] - truth)[1::2].T).mean())
 
 
 def test_errors() -> None:
