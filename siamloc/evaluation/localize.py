@@ -201,6 +201,8 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
         at_least = neighbours(settings.ks, len(known))
         if search := _search(session, "position", "absolute", known, at_least, skipped):
             searches["absolute"] = prepared(settings, search)
+            if main and len(search.known) < len(known) and not session.protocol.excludes:
+                searches["robot"] = Search(known, search.rows, 1)
     if "room_retrieval" in settings.names and (
         search := _search(session, "room label", "room_retrieval", known, DEPTH, skipped)
     ):
@@ -219,6 +221,13 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
     clock = Stopwatch()
     vectors = session.run(known, queries, searches.values(), f"the queries, {name}", clock)
     result, learned = Result(name, {}, {}, skipped=skipped), None
+    if search := searches.get("robot"):
+        without = ~known.frames.has_position[search.found.retrieval.indices[:, 0]]
+        skipped["absolute, map frames"] += (
+            "; a robot without a tracker gives no position where the frame most like its image is one of them, as for "
+            f"{without.sum()} of these {len(without)} queries: make the map without them (known.placed() in Python, or "
+            "a manifest without their rows)"
+        )
     if search := searches.get("absolute"):
         placed = queries.take(search.rows)
         own, recalls = search.found, (settings.radii, settings.ks)

@@ -111,6 +111,19 @@ def test_queries_that_find_few_frames_or_none_of_their_room_are_said(world):
     assert "room_retrieval, ranks" not in result.skipped
 
 
+def test_a_map_in_which_frames_lack_positions_says_for_how_many_queries_a_robot_gives_none(world):
+    images, monday, tuesday, _, known = world
+    some = replace(known, frames=monday.with_columns(x=np.where(np.arange(len(monday)) % 4, np.nan, monday.x)))
+    nearest = evaluation.localization(known, images, tuesday, names=("absolute",)).columns["match"]
+    without = int((~some.frames.has_position)[nearest].sum())
+    said = evaluation.localization(some, images, tuesday).skipped["absolute, map frames"]
+    assert said.startswith(f"{len(monday) * 3 // 4} of {len(monday)} map frames have no position; a robot without")
+    assert f"as for {without} of these {len(tuesday)} queries: make the map without them (known.placed()" in said
+    assert "absolute, map frames" not in evaluation.localization(some.placed(), images, tuesday).skipped
+    alone = evaluation.localization(some, images, monday, protocol=Protocol(leave_one_out=True))
+    assert alone.skipped["absolute, map frames"].endswith("have no position"), "no robot leaves frames out"
+
+
 def test_rooms_need_no_positions(world):
     images, monday, tuesday, _, known = world
     blind = np.full(len(tuesday), np.nan)
