@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from foundation.files import expanded, first_names
-from siamloc.data.frames import FrameTable, in_capture_order
-from siamloc.data.image_files import image_files
+from siamloc.data.frames import FrameTable, advice, in_capture_order
+from siamloc.data.image_files import image_files, pictures_not_read
 from siamloc.data.names import lighting_in, parse_name
 from siamloc.errors import DataError, Policy, leave_out
 
@@ -23,7 +23,8 @@ def read_folder(root: str | Path, *, on_error: Policy = "skip") -> FrameTable:
 
     Args:
         root: the folder that contains the splits.
-        on_error: "skip" or "raise", for images next to the rooms' folders, which have no room.
+        on_error: "skip" or "raise", for images next to the rooms' folders, which have no room, or deeper inside, and
+            for pictures in formats that are not read, such as HEIC.
 
     Raises:
         DataError: the folder is missing, or holds no image in this layout.
@@ -33,15 +34,22 @@ def read_folder(root: str | Path, *, on_error: Policy = "skip") -> FrameTable:
         raise DataError(f"{root} is not a folder: expected one with {_LAYOUT}")
     frames: list[dict[str, Any]] = []
     stray: list[str] = []
+    foreign: list[str] = []
     for split in _subfolders(root):
         stray += [str(image) for image in image_files(split)]
-        frames += [_frame(image, split.name) for room in _subfolders(split) for image in image_files(room)]
+        for room in _subfolders(split):
+            frames += [_frame(image, split.name) for image in image_files(room)]
+            stray += [str(image) for inside in _subfolders(room) for image in image_files(inside)]
+            foreign += [str(room / name) for name in pictures_not_read(room)]
     if not frames:
         raise DataError(
             f"{root} holds no images laid out as {_LAYOUT}; it holds: {first_names(root) or 'nothing'}"
-            + (f"; images without a room's folder: {len(stray)}, the first {stray[0]}" if stray else "")
+            + (f"; images not directly in a room's folder: {len(stray)}, the first {stray[0]}" if stray else "")
+            + advice(foreign)
         )
-    leave_out(stray, len(stray) + len(frames), "images lie next to the rooms' folders", on_error)
+    leave_out(stray, len(stray) + len(frames), "images lie next to the rooms' folders, or in folders inside", on_error)
+    what = f"files are in formats that are not read{advice(foreign)}"
+    leave_out(foreign, len(foreign) + len(frames), what, on_error)
     return in_capture_order(FrameTable.from_rows(frames))
 
 

@@ -23,6 +23,7 @@ from siamloc.errors import ConfigError, DataError, hint, leave_out
 
 _ADVICE = {  # on formats that are not read
     (".heic", ".heif", ".avif"): "convert them to JPEG, as the telephone or `heif-convert` does",
+    (".gif", ".jp2", ".jxl"): "convert them to PNG",
     (".zstd",): "name the folder of the ROS 2 bag, with its metadata.yaml",
     (".dng", ".raw", ".arw", ".cr2", ".nef"): "export them as JPEG",
     (".insv", ".360"): "export a whole 360-degree video (.mp4, unwrap=equirectangular) with the camera's program; an "

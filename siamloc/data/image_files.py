@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from foundation.columns import spread_rows
 from foundation.ordering import by_numbers
+from siamloc.data.frames import advice
 from siamloc.errors import say_once
 
 _LARGEST = 16_384  # pixels per side of an image
@@ -47,6 +48,23 @@ def image_files(folder: Path, second: tuple[str, str] | None = None) -> list[Pat
         return files
     others = {other for file in files if (other := file.name.replace(*second)) != file.name}
     return [file for file in files if file.name not in others]
+
+
+def pictures_not_read(folder: Path) -> list[str]:
+    """Return the names of files directly inside a folder whose formats are not read, such as HEIC.
+
+    Hidden files are left out, and those that have the name of an image file but for the suffix, which shows the same.
+    """
+    read = {path.stem for path in image_files(folder)}
+    shown = (path for path in folder.iterdir() if not path.name.startswith("."))
+    return sorted(path.name for path in shown if advice([path.name]) and path.stem not in read)
+
+
+def say_not_read(folder: Path) -> None:
+    """Warn once of `pictures_not_read`."""
+    if names := pictures_not_read(folder):
+        what = f"files in formats that are not read are left out: {len(names)}, the first {names[0]}"
+        say_once(f"{folder}: {what}{advice(names)}")
 
 
 def read_image(path: str | Path, bits: int | None = None) -> NDArray[np.uint8]:

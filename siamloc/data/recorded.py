@@ -12,7 +12,7 @@ from foundation.files import expanded
 from foundation.settings import Positive, shortened
 from foundation.words import as_words
 from siamloc.data.frames import BAGS, ODOMETRY, TILT, FrameTable, advice, in_capture_order, placed
-from siamloc.data.image_files import image_files
+from siamloc.data.image_files import image_files, say_not_read
 from siamloc.data.names import lighting_in
 from siamloc.data.picture_times import taken_at
 from siamloc.data.text_rows import headed, is_number
@@ -172,6 +172,7 @@ def images_of(
             )
         what = shortened(", ".join(inside)) or "nothing"
         raise DataError(f"{folder} holds no images; it holds: {what}{advice(inside)}{_deeper(folder)}")
+    say_not_read(folder)
     there, own = {file.name: file for file in files}, times is None
     if times is None:
         taken = taken_at(files, span)

@@ -21,7 +21,7 @@ from foundation.words import as_words
 from siamloc.data.checks import wrong_odometry
 from siamloc.data.films import Film, quiet
 from siamloc.data.frames import BAGS, METADATA, VIDEOS, FrameTable
-from siamloc.data.image_files import UnreadableImageError, image_files
+from siamloc.data.image_files import UnreadableImageError, image_files, say_not_read
 from siamloc.data.manifest import read_rows
 from siamloc.data.moves import moves
 from siamloc.data.names import NamedPose, parse_name
@@ -219,6 +219,7 @@ def _files(path: Path, second: tuple[str, str] | None) -> list[Path] | None:
         return None
     folder = path.is_dir()
     if folder and (files := image_files(path, second)):
+        say_not_read(path)
         return files
     if not folder and not path.is_file():
         number = re.fullmatch(r"/dev/video(\d+)", str(path))

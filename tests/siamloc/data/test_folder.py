@@ -51,13 +51,34 @@ def test_images_beside_the_rooms_are_left_out_and_reported(tmp_path, caplog):
     assert re.search(r"1 of 2 images lie next to the rooms' folders.*stray\.jpg", caplog.text)
     with pytest.raises(DataError, match=r"stray\.jpg"):
         siamloc.data.read("folder", root=tmp_path, on_error="raise")
+    (tmp_path / "train/stray.jpg").rename(tmp_path / "train/a/2.jpg")
+    put(tmp_path, "train/a/best/3.jpg")
+    with pytest.raises(DataError, match=r"1 of 3 images lie .*, or in folders inside, the first: .*best/3\.jpg"):
+        siamloc.data.read("folder", root=tmp_path, on_error="raise")
+
+
+def test_pictures_in_formats_that_are_not_read_are_reported(tmp_path, caplog):
+    put(tmp_path, "train/a/1.jpg", "train/a/1.HEIC", "train/a/2.HEIC", "train/b/3.gif", "train/b/._3.gif")
+    with caplog.at_level(logging.WARNING, "siamloc"):
+        assert len(siamloc.data.read("folder", root=tmp_path)) == 1
+    said = r"2 of 3 files are in formats that are not read; \.heic: convert .*; \.gif: convert .* first: .*a/2\.HEIC"
+    assert re.search(said, caplog.text), "1.jpg shows what 1.HEIC does"
+    with pytest.raises(DataError, match=said):
+        siamloc.data.read("folder", root=tmp_path, on_error="raise")
+    (tmp_path / "train/a/1.jpg").unlink()
+    with pytest.raises(DataError, match=r"holds no images .*; it holds: train; \.heic: convert them to JPEG"):
+        siamloc.data.read("folder", root=tmp_path)
+    put(tmp_path, "train/b/4.jpg")
+    assert len(siamloc.data.read("trajectory", images=tmp_path / "train/b")) == 1
+    said = f"{tmp_path / 'train/b'}: files in formats that are not read are left out: 1, the first 3.gif; .gif: convert"
+    assert said in caplog.text
 
 
 def test_another_layout_is_an_error_that_says_what_is_there(tmp_path):
     with pytest.raises(DataError, match=r"laid out as <split>/<room>/<image>.*it holds: nothing"):
         siamloc.data.read("folder", root=tmp_path)
     put(tmp_path, "room/1.jpg")
-    with pytest.raises(DataError, match=r"it holds: room; images without a room's folder: 1, the first .*1\.jpg"):
+    with pytest.raises(DataError, match=r"it holds: room; images not directly in a room.*: 1, the first .*1\.jpg"):
         siamloc.data.read("folder", root=tmp_path)
     with pytest.raises(DataError, match="is not a folder: expected one with <split>"):
         siamloc.data.read("folder", root=tmp_path / "room/1.jpg")
