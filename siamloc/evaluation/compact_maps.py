@@ -105,7 +105,7 @@ def compact(
     known, clusters = known.placed(), (known if clusters is None else clusters).take(placed)
     scored = session.queries.take(session.queries.has_position)
     for has, what in ((placed, "map frames"), (session.queries.has_position, "queries")):
-        session.leave_out(has, f"{what} have no position", f"compact, {what}", ": add x and y to the data")
+        session.leave_out(has, f"{what} have no position", f"compact, {what}", ": give x and y in a manifest")
     if max(settings.nodes) > len(known):
         raise ConfigError(f"task.nodes asks for {max(settings.nodes)} nodes, and the map has {len(known)} frames")
     for one in (known, clusters) if set(settings.ways) != {"sample"} else ():

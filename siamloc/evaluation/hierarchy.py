@@ -105,6 +105,7 @@ def hierarchical(
     layer = search.layer
     placed, scored = known.frames.has_position, session.queries.has_position
     if text := session.lacking(placed, "map frames have no position"):
+        known.placed()  # says so if there are none
         raise DataError(f"{text}: build the layer over a map whose frames all have one (known.placed())")
     if text := session.lacking(scored, "queries have no position"):
         session.skipped["hierarchical, queries"] = f"{text}; located all the same in located.csv"

@@ -265,7 +265,7 @@ def _search(session: Session, what: str, task: str, known: VisualMap, k: int, sk
     for where, has in (("queries", in_queries), ("map frames", in_map)):
         text = session.lacking(has, f"{where} have no {what}")
         if not has.any():
-            skipped[task] = f"{text}: add {'x and y' if what == 'position' else 'rooms'} to the data"
+            skipped[task] = f"{text}: give {'x and y in a manifest' if what == 'position' else 'rooms'}"
             return None
         if text:
             skipped[f"{task}, {where}"] = text

@@ -255,7 +255,7 @@ class Session:
         by_room = any(not frames.has_position.any() for frames in tables.values())
         masks = {what: frames.room != "" if by_room else frames.has_position for what, frames in tables.items()}
         for what, has in masks.items():
-            remedy = ", and not all tables have positions: add x and y, or rooms, to the data"
+            remedy = ", and not all tables have positions: give x and y, or rooms, in a manifest"
             lacks = f"{what} have no {'room label' if by_room else 'position'}"
             self.leave_out(has, lacks, f"{self.name}, {what}", remedy)
         return masks["map frames"], masks["queries"], by_room

@@ -360,7 +360,7 @@ class VisualMap:
         """
         placed = self.frames.has_position
         if not placed.any():
-            raise DataError("no map frame has a position: add columns x and y to the data")
+            raise DataError("no map frame has a position: give x and y in a manifest")
         return self if placed.all() else self.take(placed)
 
     def turning(self, rows: NDArray[np.int64] | slice = slice(None)) -> Description:

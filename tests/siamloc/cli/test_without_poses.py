@@ -104,7 +104,7 @@ def test_expected_errors_do_not_depend_on_whether_the_pose_is_known(flat, withou
         columns = [np.concatenate([table[key] for table in tables]).tolist() for key in ("path", "error_m", "lost")]
         told[name] = sorted(zip(*columns, strict=True))
         if name == "none":
-            said = "24 of 24 queries have no position: add x and y to the data"
+            said = "24 of 24 queries have no position: give x and y in a manifest"
             assert ErrorModel.load(folder / "error_model.json").lost_above == 1.0
             assert f"absolute left out: {said}" in capsys.readouterr().out
     assert len(told["all"]) == 24

@@ -263,6 +263,10 @@ def test_hierarchical_search_of_all_nodes_is_the_search_of_the_map(world):
     every = evaluation.hierarchical(known, images, tuesday, built, candidates=8)
     whole = evaluation.localization(known, images, tuesday)
     np.testing.assert_array_equal(every.columns["match"], whole.columns["match"])
+    without = replace(known, frames=known.frames.with_columns(x=np.full(len(known), np.nan)))
+    rooms = maps.group(without, "rooms")
+    with pytest.raises(DataError, match="no map frame has a position: give x and y in a manifest"):
+        evaluation.hierarchical(without, images, tuesday, rooms)
     few = evaluation.hierarchical(known, images, tuesday, built, candidates=1, coarse={"by": "vote", "neighbours": 3})
     assert few.measures["comparisons"]["frames_share"] < 0.5
     assert "hierarchical localization" in few.table()
