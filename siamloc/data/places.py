@@ -130,6 +130,12 @@ class PlaceSampler:
             more = f"; a larger pairs.{key} finds some" if np.isfinite(lonely).any() else ""
             by = f" (half of the frames have one within {half:.3g} {unit})" if within < half < np.inf else ""
             notes.append(f"{note}: {instead[key]}{more}{by}")
+        ordered = settings.by == "position" or np.isfinite(self.frames.time).all()
+        if not ordered and self.frames.source.get("kind") == "folder" and len(set(self.frames.room.tolist())) > 1:
+            notes.append(
+                f"pairs.by={settings.by} takes the order of the frames as that of the drive, and frames of data=folder "
+                "without COLD names have the order of their rooms and names: give a manifest in the order of the drive"
+            )
         return notes
 
     def check_processes(self, processes: int) -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from siamloc.data import read
 from siamloc.data.frames import FrameTable
 from siamloc.data.places import PlaceSampler, PlaceSettings
 from siamloc.errors import ConfigError, DataError
@@ -49,6 +52,19 @@ def test_images_that_no_place_has_are_the_same_ones_again_and_said():
     (note,) = PlaceSampler(frames, PlaceSettings(by="sequence", places=4, radius=0.5)).notes()
     assert "within pairs.radius=0.5 frames" in note
     assert not PlaceSampler(frames, PlaceSettings(places=4, images=1, radius=0.1)).notes()
+
+
+def test_a_folder_of_rooms_is_said_to_have_no_order_of_a_drive(tmp_path):
+    for room in ("a", "b"):
+        (tmp_path / "day" / room).mkdir(parents=True)
+        for number in range(4):
+            (tmp_path / "day" / room / f"{number}.jpg").touch()
+    frames, settings = read("folder", root=tmp_path), PlaceSettings(by="sequence", places=4, radius=1)
+    (note,) = PlaceSampler(frames, settings).notes()
+    assert note.startswith("pairs.by=sequence takes the order of the frames as that of the drive")
+    assert note.endswith("give a manifest in the order of the drive")
+    for ordered in (frames.select(room="a"), frames.with_columns(time=np.arange(8)), replace(frames, source={})):
+        assert not PlaceSampler(ordered, settings).notes()
 
 
 def test_frames_that_stand_alone_are_counted():
