@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from foundation.columns import spread_rows
 from foundation.ordering import by_numbers
+from foundation.settings import shortened
 from siamloc.data.frames import advice
 from siamloc.errors import say_once
 
@@ -65,6 +66,17 @@ def say_not_read(folder: Path) -> None:
     if names := pictures_not_read(folder):
         what = f"files in formats that are not read are left out: {len(names)}, the first {names[0]}"
         say_once(f"{folder}: {what}{advice(names)}")
+
+
+def no_images(folder: Path) -> str:
+    """Say that a folder holds no images, what it holds instead, and which folder below it holds some."""
+    inside = sorted(path.name for path in folder.iterdir())
+    said = f"{folder} holds no images; it holds: {shortened(', '.join(inside)) or 'nothing'}{advice(inside)}"
+    for path in (path for pattern in ("*/", "*/*/", "*/*/*/") for path in sorted(folder.glob(pattern))):
+        with suppress(OSError):
+            if image_files(path):
+                return f"{said}; there are some in {path}"
+    return said
 
 
 def read_image(path: str | Path, bits: int | None = None) -> NDArray[np.uint8]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Container, Sequence
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +10,8 @@ import numpy as np
 from foundation.files import expanded
 from foundation.settings import Positive, shortened
 from foundation.words import as_words
-from siamloc.data.frames import BAGS, ODOMETRY, TILT, FrameTable, advice, in_capture_order, placed
-from siamloc.data.image_files import image_files, say_not_read
+from siamloc.data.frames import BAGS, ODOMETRY, TILT, FrameTable, in_capture_order, placed
+from siamloc.data.image_files import image_files, no_images, say_not_read
 from siamloc.data.names import lighting_in
 from siamloc.data.picture_times import taken_at
 from siamloc.data.text_rows import headed, is_number
@@ -170,8 +169,7 @@ def images_of(
                 f"{folder} holds no images, and no metadata.yaml as the folder of a ROS 2 bag does: "
                 f"`{command}` reads the file of the bag; `rosbags-convert --src FILES --dst FOLDER` joins parts"
             )
-        what = shortened(", ".join(inside)) or "nothing"
-        raise DataError(f"{folder} holds no images; it holds: {what}{advice(inside)}{_deeper(folder)}")
+        raise DataError(no_images(folder))
     say_not_read(folder)
     there, own = {file.name: file for file in files}, times is None
     if times is None:
@@ -221,15 +219,6 @@ def _named(words: list[str], there: Container[str]) -> tuple[str, str]:
         if name in there:
             return name, words[0 if start else last]
     return "", ""
-
-
-def _deeper(folder: Path) -> str:
-    """Say which folder below another one holds images."""
-    for path in (path for pattern in ("*/", "*/*/", "*/*/*/") for path in sorted(folder.glob(pattern))):
-        with suppress(OSError):
-            if image_files(path):
-                return f"; there are some in {path}"
-    return ""
 
 
 def _times(path: Path, words: Sequence[str], span: float | None) -> Array:

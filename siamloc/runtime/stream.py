@@ -21,7 +21,7 @@ from foundation.words import as_words
 from siamloc.data.checks import wrong_odometry
 from siamloc.data.films import Film, quiet
 from siamloc.data.frames import BAGS, METADATA, VIDEOS, FrameTable
-from siamloc.data.image_files import UnreadableImageError, image_files, say_not_read
+from siamloc.data.image_files import UnreadableImageError, image_files, no_images, say_not_read
 from siamloc.data.manifest import read_rows
 from siamloc.data.moves import moves
 from siamloc.data.names import NamedPose, parse_name
@@ -229,7 +229,7 @@ def _files(path: Path, second: tuple[str, str] | None) -> list[Path] | None:
         command = f"siamloc prepare {as_words({'recording.file': path})}"
         raise DataError(f"{path} is a ROS bag: `{command}` writes its images into a folder")
     if folder:
-        raise DataError(f"{path} holds no images")
+        raise DataError(no_images(path))
     return None if path.suffix.lower() in VIDEOS else [path]
 
 

@@ -282,7 +282,8 @@ def test_an_empty_video_is_one_sentence_and_no_word_of_its_decoder(tmp_path):
     ("name", "says"),
     [
         ("nowhere.png", "there is no image"),
-        ("empty", "holds no images"),
+        ("empty", "holds no images; it holds: nothing$"),
+        ("tuesday", r"holds no images; it holds: hall, up\.HEIC; \.heic: .*; there are some in .*tuesday/hall$"),
         ("drive.bag", "is a ROS bag: `siamloc prepare recording.file=.*drive.bag` writes its images"),
         ("monday", "monday is a ROS bag: `siamloc prepare recording.file=.*monday` writes its images"),
         ("camera:99", "camera:99 gives no image: check that it is plugged in"),
@@ -291,6 +292,9 @@ def test_an_empty_video_is_one_sentence_and_no_word_of_its_decoder(tmp_path):
 )
 def test_what_gives_no_images_is_said(bundle, tmp_path, name, says):
     (tmp_path / "empty").mkdir()
+    (tmp_path / "tuesday" / "hall").mkdir(parents=True)
+    for picture in ("up.HEIC", "hall/1.jpg"):
+        (tmp_path / "tuesday" / picture).touch()
     (tmp_path / "drive.bag").touch()
     (tmp_path / "monday").mkdir()
     (tmp_path / "monday" / "metadata.yaml").touch()
