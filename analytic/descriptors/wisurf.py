@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.descriptors.base import AlignedDescriptor, Cells, Several
+from analytic.descriptors.base import AlignedDescriptor, Cells, Several, divisors_near
 from analytic.errors import AnalyticError
 
 CELLS = 4  # subregions along each side of a window
@@ -95,9 +95,10 @@ class WiSurf(AlignedDescriptor):
 
     def _check_size(self, height: int, width: int) -> None:
         if height % (CELLS * self.rows):
+            other = "" if height % CELLS else f"use rows={divisors_near(height // CELLS, self.rows)}, or "
             raise AnalyticError(
                 f"wisurf's rows={self.rows} bands of {CELLS} subregions each do not fit an image of {height} pixel "
-                f"rows: use other rows, or resize it to a multiple of {CELLS * self.rows} rows"
+                f"rows: {other}resize it to a multiple of {CELLS * self.rows} rows"
             )
         super()._check_size(height, width)
         side = height // self.rows

@@ -320,7 +320,7 @@ def test_neither_contrast_nor_an_offset_matters(name):
         ("gist", {"orientation_filters": 1}, "normalized=False"),
         ("gist", {"blocks": 5}, "gist's blocks=5 .* use blocks=4 or 8"),
         ("wisurf", {"windows": 1}, "wisurf.windows must be a whole number from 2 to 16,384, got 1"),
-        ("wisurf", {"rows": 3}, "4 subregions each do not fit an image of 32 pixel rows: .* a multiple of 12 rows"),
+        ("wisurf", {"rows": 3}, "an image of 32 pixel rows: use rows=2 or 4, or resize it to .* 12 rows"),
         ("wisurf", {"windows": 10}, "width of 128 pixels: use windows=8 or 16"),
         ("briefgist", {"rows": 5}, "briefgist's rows=5 .* use rows=4 or 8"),
         ("briefgist", {"columns": 7}, "columns=7 .* use columns=4 or 8"),
@@ -344,6 +344,8 @@ def test_parameters_that_do_not_fit_are_refused_in_one_sentence(name, params, sa
 def test_images_that_no_window_fits():
     with pytest.raises(AnalyticError, match="windows of 32 x 32 are wider than 24 columns: use more rows"):
         descriptor("wisurf", rows=1, windows=12).describe(COLOUR[..., :24])
+    with pytest.raises(AnalyticError, match="an image of 30 pixel rows: resize it to a multiple of 16 rows"):
+        small("wisurf", rows=4).describe(COLOUR[..., :30, :])
     assert small("fs", circular=False, turns=100).describe(COLOUR).position.shape == (4, 24)  # no turn to fit
 
 
