@@ -73,7 +73,8 @@ def _read_table(file: Path, on_error: str) -> FrameTable:
     # Path.is_file raises on names that are too long; os.path.isfile says no.
     exists = [os.path.isfile(frame["path"]) for frame in frames]  # noqa: PTH113
     missing = [frame["path"] for frame, there in zip(frames, exists, strict=True) if not there]
-    what = f"images of {file} do not exist (they are looked for relative to the table's folder)"
+    slash = "; write / for \\ in paths" * (os.sep == "/" and any("\\" in path for path in missing))
+    what = f"images of {file} do not exist (they are looked for relative to the table's folder{slash})"
     leave_out(missing, len(frames), what, on_error)
     return in_capture_order(FrameTable.from_rows(frames).take(exists))
 

@@ -110,6 +110,8 @@ def test_missing_images_are_left_out_and_reported_and_a_missing_table_is_an_erro
         siamloc.data.read("manifest", manifest=folder / "none.csv")
     with pytest.raises(DataError, match=r"1 of 1 images .*relative to the table's folder.*nothing remains"):
         read(folder, "image\nnone.jpg\n")
+    with pytest.raises(DataError, match=r"relative to the table's folder; write / for \\ in paths\), the first:"):
+        read(folder, "image\nday\\none.jpg\n")
 
 
 def test_a_pattern_reads_all_tables_that_fit_each_from_its_own_folder(tmp_path, monkeypatch):
