@@ -77,16 +77,20 @@ def summary(frames: FrameTable) -> str:
           monday: 2 frames, lighting unknown, 1 room (hall), path of 1.0 m, median step 1 m
           room hall: 2 frames, the farthest two 1.00 m apart
     """
-    lines = [f"{len(frames)} frames"]
+
+    def counted(count: int) -> str:
+        return f"{count} frame{'s' * (count != 1)}"
+
+    lines = [counted(len(frames))]
     for name, rows in frames.rows_by("sequence").items():
         part = frames.take(rows)
         lightings = ", ".join(sorted(set(part.lighting.tolist()) - {""})) or "lighting unknown"
         rooms = sorted(set(part.room.tolist()) - {""})
         named = f"{len(rooms)} room{'s' * (len(rooms) > 1)} ({', '.join(rooms)})" if rooms else "no rooms"
-        lines.append(f"  {name or '(no sequence)'}: {len(part)} frames, {lightings}, {named}, {_spacing(part)}")
+        lines.append(f"  {name or '(no sequence)'}: {counted(len(part))}, {lightings}, {named}, {_spacing(part)}")
     for room, (count, largest) in room_sizes(frames).items():
         apart = f", the farthest two {largest:.2f} {frames.unit} apart" if np.isfinite(largest) else ""
-        lines.append(f"  room {room}: {count} frames{apart}")
+        lines.append(f"  room {room}: {counted(count)}{apart}")
     return "\n".join(lines)
 
 

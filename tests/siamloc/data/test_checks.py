@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from siamloc.data import FrameTable, PanoramaLibrary, check
+from siamloc.data.checks import summary
 from tests.drawn import written
 
 
@@ -131,3 +132,9 @@ def test_pictures_of_a_ring_that_are_only_resized_are_told_nothing_else(tmp_path
         (said,) = check(frames, images)
         assert ("without unwrapping" in said) is (name == "ring")
         assert ("50% of the panorama is black" in said) is (name == "panorama")
+
+
+def test_a_single_frame_is_one_frame():
+    lines = summary(FrameTable(path=["1.jpg"], room=["hall"], sequence=["monday"])).splitlines()
+    assert (lines[0], lines[2]) == ("1 frame", "  room hall: 1 frame")
+    assert lines[1].startswith("  monday: 1 frame, lighting unknown")
