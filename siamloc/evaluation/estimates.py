@@ -146,13 +146,20 @@ class Tracked(Rows):
     refined: RefinedPoses
 
     @classmethod
-    def of(cls, *searches: Search | None) -> Tracked:
-        """Return the queries of several searches in the same map; None stands for no query."""
-        parts = [cls(one.rows, one.found.distances, one.found.refined) for one in searches if one is not None]
+    def of(cls, frames: FrameTable, search: Search, bare: Search | None) -> Tracked:
+        """Return the queries of two searches in one map; those of `bare` only on the drives of the other search.
+
+        Args:
+            frames: all queries, of which the searches have rows.
+            search: the search for the queries with positions.
+            bare: the search for those without; None if there is none.
+        """
+        parts = [cls(one.rows, one.found.distances, one.found.refined) for one in (search, bare) if one is not None]
         if len(parts) == 1:
             return parts[0]  # the distances are large
         whole = cls.concatenate(parts)
-        return whole.take(np.argsort(whole.row))
+        order = np.argsort(whole.row)
+        return whole.take(order[np.isin(frames.sequence[whole.row[order]], frames.sequence[search.rows])])
 
 
 def search_validation(session: Session, frames: FrameTable | None, settings: Estimates, known: VisualMap) -> Validation:
@@ -263,12 +270,12 @@ def with_estimates(
         search: a search that `prepared` returned and that has been run, for the n queries with positions.
         frames: all queries.
         learned: what was learned for the map.
-        bare: such a search for the queries without positions; None if there are none.
+        bare: such a search for the queries without positions; None if there are none, or they cannot be searched.
     """
     finer, model, made = learned.refinement, learned.errors, dict(learned.about)
     queries = frames.take(search.rows)
     if settings.filter:
-        whole = Tracked.of(search, bare)
+        whole = Tracked.of(frames, search, bare)
         drive = frames.take(whole.row)
         columns, made["filter"], between = filtered(settings, search.known, drive, whole, learned.validation)
         result = _with_columns(result, "filtered", columns)
@@ -305,8 +312,8 @@ def filtered(
     Args:
         settings: gives the temperature and the probability of kidnapping, or asks to choose them.
         known: the map.
-        drive: all queries, of which n have positions.
-        whole: the distances of all queries.
+        drive: the queries through which the robot is tracked, of which n have positions.
+        whole: their distances.
         validation: the frames on which temperature and kidnapping are chosen with `filter_tune`; else None.
 
     Returns:
@@ -317,9 +324,10 @@ def filtered(
         temperature = temperature_of_map(known)
     tuned = None
     if validation is not None and settings.filter_tune:
-        frames = validation.drive
+        seen = Tracked.of(validation.drive, validation.search, validation.bare)
+        frames = validation.drive.take(seen.row)
         motion = MotionModel.learn(known.frames, interval=_interval(frames))
-        given = Tracked.of(validation.search, validation.bare).distances, frames.xy, frames.sequence
+        given = seen.distances, frames.xy, frames.sequence
         best = tune_filter(motion, *given, temperature, moves=motions(frames))[0]
         temperature, kidnapping = best.temperature, best.kidnapping
         tuned = {"queries": len(validation.frames), "error": best.error}
@@ -358,11 +366,9 @@ def refined(refinement: Refinement, poses: RefinedPoses, queries: FrameTable) ->
 
 
 def tracked(step: float, kidnapping: float, drive: FrameTable, poses: RefinedPoses) -> tuple[Columns, dict[str, Any]]:
-    """Filter refined poses along the queries of each sequence; return their columns and the filter's parameters.
+    """Filter refined poses along the queries of each sequence, by their odometry where they have any.
 
-    The columns are those of the queries with positions.
-
-    The filter moves by the odometry of the queries, where they have any.
+    Returns the columns of the queries with positions, and the filter's parameters.
 
     Args:
         step: distance the robot moves between two queries, learned from the map; the median step of the query poses if

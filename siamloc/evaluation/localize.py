@@ -215,19 +215,20 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
             along = settings if "absolute" in searches else unfiltered
             searches["located"] = prepared(along, Search(inside, bare, 1, excluded=excluded))
         except DataError as error:  # without positions along the drive, near frames cannot be left out
-            skipped["located"] = str(error)
+            skipped["located"] = f"{error}{'; the filter is without them, too' * settings.filter}"
     if not searches:
         raise DataError(f"nothing could be measured: {'; '.join(skipped.values())}")
     clock = Stopwatch()
     vectors = session.run(known, queries, searches.values(), f"the queries, {name}", clock)
     result, learned = Result(name, {}, {}, skipped=skipped), None
     if search := searches.get("robot"):
-        without = ~known.frames.has_position[search.found.retrieval.indices[:, 0]]
-        skipped["absolute, map frames"] += (
-            "; a robot without a tracker gives no position where the frame most like its image is one of them, as for "
-            f"{without.sum()} of these {len(without)} queries: make the map without them (known.placed() in Python, or "
-            "a manifest without their rows)"
-        )
+        without = int((~known.frames.has_position[search.found.retrieval.indices[:, 0]]).sum())
+        if without:
+            skipped["absolute, map frames"] += (
+                "; a robot without a tracker gives no position where the frame most like its image is one of them, as "
+                f"for {without} of the {len(search.rows)} queries: track it, or make the map without them "
+                "(known.placed() in Python, or a manifest without their rows), which loses their rooms"
+            )
     if search := searches.get("absolute"):
         placed = queries.take(search.rows)
         own, recalls = search.found, (settings.radii, settings.ks)

@@ -14,6 +14,7 @@ import analytic
 from foundation.files import plain
 from siamloc import evaluation, maps
 from siamloc.data import PanoramaLibrary, Protocol
+from siamloc.data.frames import concatenate
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import Result
 from siamloc.models import build
@@ -118,7 +119,7 @@ def test_a_map_in_which_frames_lack_positions_says_for_how_many_queries_a_robot_
     without = int((~some.frames.has_position)[nearest].sum())
     said = evaluation.localization(some, images, tuesday).skipped["absolute, map frames"]
     assert said.startswith(f"{len(monday) * 3 // 4} of {len(monday)} map frames have no position; a robot without")
-    assert f"as for {without} of these {len(tuesday)} queries: make the map without them (known.placed()" in said
+    assert f"as for {without} of the {len(tuesday)} queries: track it, or make the map without them" in said
     assert "absolute, map frames" not in evaluation.localization(some.placed(), images, tuesday).skipped
     alone = evaluation.localization(some, images, monday, protocol=Protocol(leave_one_out=True))
     assert alone.skipped["absolute, map frames"].endswith("have no position"), "no robot leaves frames out"
@@ -244,6 +245,19 @@ def test_a_robot_is_tracked_through_queries_without_a_position(world):
         np.testing.assert_array_equal(part.columns["path"], driven.path[some.has_position])
         for name in ("filtered_match", "filtered_probability", "filtered_error", "tracked_est_x", "tracked_error"):
             np.testing.assert_allclose(part.columns[name], whole.columns[name][some.has_position], rtol=1e-4, atol=1e-5)
+
+
+def test_a_drive_without_any_position_changes_nothing_of_how_others_are_tracked(world):
+    images, _, tuesday, sunday, known = world
+    late = {"time": sunday.time * 10, "x": np.full(len(sunday), np.nan)}
+    moved = {"odom_x": sunday.x * 100, "odom_y": sunday.y * 100, "odom_theta": sunday.theta}
+    both = concatenate([tuesday, sunday.with_columns(**late, **moved)])
+    alone, beside = (
+        evaluation.localization(known, images, queries, filter=True, names=("absolute",)) for queries in (tuesday, both)
+    )
+    assert beside.about == alone.about
+    for name, column in alone.columns.items():
+        np.testing.assert_array_equal(beside.columns[name], column, err_msg=name)
 
 
 def test_a_filter_is_tuned_on_a_whole_drive_by_the_frames_with_positions(world):
