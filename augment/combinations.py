@@ -76,8 +76,7 @@ def variants(depth: int, circular: bool = True) -> list[Variant]:
 
     Args:
         depth: number of variants, at least 1.
-        circular: False for cameras whose columns do not wrap around; combinations with a rotation then turn by 0, and
-            the rotation alone, which would repeat the original, is left out.
+        circular: False for cameras whose columns do not wrap around; combinations with a rotation then turn by 0.
 
     Raises:
         AugmentError: a depth below 1.
@@ -89,7 +88,7 @@ def variants(depth: int, circular: bool = True) -> list[Variant]:
     checked(depth, Count, "depth", AugmentError)
     listed = combinations()
     policies = {label: Policy({"all_of": steps}, name=label, circular=circular) for label, steps in listed.items()}
-    labels = [label for label in listed if circular or label != "rotate"]
+    labels = list(listed)
     order = labels + labels[1:] * (depth // len(labels) + 1)
     return [Variant(number, label, policies[label]) for number, label in enumerate(order[:depth])]
 

@@ -176,7 +176,7 @@ def complaint(value: Any, kind: Any) -> str:
     most = f", at most {LARGEST:,} in size" if only_too_large else ""
     only_too_small = isinstance(value, float) and 0 < value < SMALLEST and _fit(SMALLEST, kind)[0]
     least = f", at least {SMALLEST:g}" if only_too_small else ""
-    numbers = isinstance(value, list | tuple) and any(isinstance(one, int | float) for one in value)
+    numbers = isinstance(value, list | tuple) and any(type(one) in (int, float) for one in value)
     texts = numbers and _fit([str(one) for one in value], kind)[0]
     quotes = ": put texts that look like numbers in quotes, such as '[\"2024_01_05\"]'" if texts else ""
     return f"must be {words_for(kind)}{most or least}, got {shortened(repr(value))}{quotes}"

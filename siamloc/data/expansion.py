@@ -24,7 +24,7 @@ from foundation.settings import Count, Seed, Thousand
 from foundation.words import as_words
 from siamloc.data.cold import ODOMETRY_FILE
 from siamloc.data.decoding import Preprocessing
-from siamloc.data.frames import ODOMETRY, FrameTable, composed
+from siamloc.data.frames import ODOMETRY, FrameTable
 from siamloc.data.image_files import UnreadableImageError
 from siamloc.data.manifest import COLUMNS
 from siamloc.data.moves import wrapped
@@ -284,7 +284,7 @@ def _sequence_folders(frames: FrameTable, root: Path, folder: Path) -> dict[str,
         tails = [Path(*old.absolute().parts[-count:]) for count in (1, 2, 3) if len(old.absolute().parts) > count]
         for relative in [*(path for path in [*below, *tails] if path.parts), Path(sequence)]:
             named = name_sequence(folder / relative, relative.as_posix(), frames.room[rows].tolist())
-            if composed(named.sequence) == sequence:
+            if named.sequence == sequence:
                 above[sequence] = relative
                 break
         else:

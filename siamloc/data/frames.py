@@ -9,7 +9,6 @@ from fnmatch import fnmatchcase
 from os.path import abspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from unicodedata import normalize
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +18,7 @@ from foundation.columns import chosen_rows
 from foundation.errors import not_yaml
 from foundation.files import read_text
 from foundation.settings import Count, Natural, Positive, shortened
+from siamloc.data.names import nfc
 from siamloc.errors import ConfigError, DataError, hint, leave_out
 
 _ADVICE = {  # on formats that are not read
@@ -434,18 +434,8 @@ def fitting(label: str, names: Iterable[str]) -> list[str]:
     names = list(names)
     if label in names:
         return [label]
-    label = composed(label)
-    return [label] if label in names else [name for name in names if fnmatchcase(composed(name), label)]
-
-
-def composed(label: str) -> str:
-    """Return a label whose letters with accents are one character each, since some systems write them as two.
-
-    Example:
-        >>> len("Bu\N{COMBINING DIAERESIS}ro"), len(composed("Bu\N{COMBINING DIAERESIS}ro"))
-        (5, 4)
-    """
-    return normalize("NFC", label)
+    label = nfc(label)
+    return [label] if label in names else [name for name in names if fnmatchcase(nfc(name), label)]
 
 
 def advice(names: Iterable[str]) -> str:
@@ -486,7 +476,8 @@ def _as_column(name: str, value: ArrayLike) -> NDArray[Any]:
                 raise ValueError(f"{where}: leave these frames out")
             column[missing] = ""
         if name in _TEXT and name != "path" and column.ndim == 1 and (column.view(np.uint32) >= _ACCENTS).any():
-            column = np.array([composed(one) for one in column.tolist()])
+            forms = {label: nfc(label) for label in set(column.tolist())}
+            column = np.array([forms[label] for label in column.tolist()])
         return column
     except (TypeError, ValueError) as error:
         what = "texts" if name in _TEXT else "numbers"

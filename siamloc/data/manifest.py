@@ -18,6 +18,7 @@ from foundation.settings import shortened
 from siamloc.data.frames import COLUMNS as FRAME_COLUMNS
 from siamloc.data.frames import DEVIATIONS, ODOMETRY, TILT, FrameTable, concatenate, in_capture_order
 from siamloc.data.moves import euler
+from siamloc.data.names import nfc
 from siamloc.errors import DataError, Policy, leave_out, logger
 
 COLUMNS = ("image", *FRAME_COLUMNS[1:])
@@ -98,7 +99,7 @@ def read_rows(file: Path) -> Iterator[dict[str, Any]]:
                 "quote the cells that contain a comma"
             )
         frame = _frame(file, number, names, cells)
-        image = (os.path.normpath(frame["path"]), frame.get("sequence", ""))
+        image = (os.path.normpath(frame["path"]), nfc(frame.get("sequence", "")))
         if image in seen:
             raise DataError(
                 f"{file}, line {number}: image {cells[names['image']]!r} is already in line {seen[image]} "

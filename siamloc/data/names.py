@@ -10,6 +10,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
+from unicodedata import normalize
 
 LIGHTINGS = ("cloudy", "night", "sunny")
 BUILDINGS = ("freiburg", "ljubljana", "saarbruecken")
@@ -83,7 +84,7 @@ def name_sequence(folder: Path, label: str, rooms: Sequence[str]) -> SequenceNam
     parts = [part.lower() for part in folder.absolute().parts]
     match = _SEQUENCE.fullmatch(parts[-1])
     if match is None:
-        return SequenceName(label, "", lighting_in(folder.name))
+        return SequenceName(nfc(label), "", lighting_in(folder.name))
     building, part = _place(match["place"] or "")
     if not building:
         building, upper_part = _place_above(parts[:-1], part)
@@ -93,7 +94,17 @@ def name_sequence(folder: Path, label: str, rooms: Sequence[str]) -> SequenceNam
         part = suffixes.pop()[1]
     whole = "_".join(word for word in (building, part) if word)
     run = re.sub(r"seq_?([0-9]+)[_-]?([a-z]+)", r"seq\1_\2", match["run"])
-    return SequenceName("_".join(word for word in (whole, run) if word), whole, lighting_in(run))
+    return SequenceName(nfc("_".join(word for word in (whole, run) if word)), whole, lighting_in(run))
+
+
+def nfc(label: str) -> str:
+    """Return a label whose letters with accents are one character each, since some systems write them as two.
+
+    Example:
+        >>> len("Bu\N{COMBINING DIAERESIS}ro"), len(nfc("Bu\N{COMBINING DIAERESIS}ro"))
+        (5, 4)
+    """
+    return normalize("NFC", label)
 
 
 def _place(text: str) -> tuple[str, str]:

@@ -106,5 +106,5 @@ class Preview(DataJob):
             panoramas = simulate.panoramas(self.count)
         count, circular = len(panoramas), self.data.circular
         write_picture(self.out, augment.preview(torch.from_numpy(panoramas), circular=circular))
-        say(f"{self.out}: {len(augment.EFFECTS) - (not circular)} effects on {count} panorama{'s' * (count > 1)}")
+        say(f"{self.out}: {len(augment.EFFECTS) - (not circular)} effects on {count} image{'s' * (count > 1)}")
         return Path(self.out)

@@ -86,15 +86,15 @@ def test_a_preview_of_data_and_of_files(manifest, tmp_path, capsys):
     assert cv2.imread(str(tmp_path / "a" / "sheet.png")).shape[1] > 1000
     image = data.read("manifest", manifest=manifest).path[0]
     done("augment", "preview", f"images=[{image}]", size, f"out={tmp_path / 'sheet.jpg'}")
-    assert f"{len(augment.EFFECTS)} effects on 1 panorama\n" in capsys.readouterr().out
+    assert f"{len(augment.EFFECTS)} effects on 1 image\n" in capsys.readouterr().out
     done("augment", "preview", "data.circular=false", size, f"out={tmp_path / 'sheet.jpg'}", "count=1")
-    assert f"{len(augment.EFFECTS) - 1} effects on 1 panorama\n" in capsys.readouterr().out, "all but rotate"
+    assert f"{len(augment.EFFECTS) - 1} effects on 1 image\n" in capsys.readouterr().out, "all but rotate"
     (tmp_path / "some").mkdir()
     cv2.imwrite(str(tmp_path / "some" / "a.png"), np.zeros((32, 128, 3), np.uint8))
     (tmp_path / "some" / "b.png").write_bytes(b"no image")
     some = ["augment", "preview", f"images=[{tmp_path / 'some'}]", size, f"out={tmp_path / 'sheet.jpg'}"]
     done(*some)
-    assert "effects on 1 panorama\n" in capsys.readouterr().out
+    assert "effects on 1 image\n" in capsys.readouterr().out
     assert "b.png" in refused(capsys, *some, "data.on_error=raise")
     unread = "1 of 1 images cannot be read, the first: "
     for shown, out, says in ((manifest, "sheet.png", unread), (image, "sheet.txt", "must be a picture")):

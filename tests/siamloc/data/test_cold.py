@@ -128,6 +128,10 @@ def test_the_same_sequence_twice_is_an_error(tmp_path):
     make_sequence(tmp_path / "cold-freiburg_part_a_seq2_cloudy1")
     with pytest.raises(DataError, match=r"freiburg_a_seq2_cloudy1 appears twice.*remove one"):
         siamloc.data.read("cold", root=tmp_path)
+    for label in ("B\u00fcro", "Bu\u0308ro"):
+        make_sequence(tmp_path / "other" / label)
+    with pytest.raises(DataError, match="B\u00fcro appears twice"):
+        siamloc.data.read("cold", root=tmp_path / "other")
 
 
 def test_links_are_followed_but_none_shows_a_sequence_twice(tmp_path):

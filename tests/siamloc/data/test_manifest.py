@@ -88,6 +88,7 @@ def test_columns_that_are_not_used_are_reported(folder, caplog):
         ("image,x,y\na.jpg,1\n", r"frames\.csv, line 2: 2 cells, so there is none for column 'y'"),
         ("image,x\na.jpg,1,2\n", r"frames\.csv, line 2: 3 cells under 2 columns; quote"),
         ("image\na.jpg\nb.jpg\n./a.jpg\n", "line 4: image './a.jpg' is already in line 2 with the same sequence"),
+        ("image,sequence\na.jpg,B\u00fcro\na.jpg,Bu\u0308ro\n", "image 'a.jpg' is already in line 2 with the same"),
         ('image\n"a.jpg\n', r"frames\.csv, line \d: not a CSV row"),
         ("image\na\0.jpg\n", r"frames\.csv, line 2: (the row has a NUL|not a CSV row)"),
         (b"image\n\xff.jpg\n", r"is not a CSV table in UTF-8 \(.*\): save it as UTF-8"),
