@@ -279,11 +279,19 @@ class DualFisheyeCamera(CentralCamera):
         back: the lens of the right half; its angles are those from the camera's back.
         second: for two pictures, a part of the front picture's name and what replaces it in the name of the other one,
             such as ("_00_", "_10_"). In memory, both are one picture, side by side.
+        fov: if given, both lenses get it in place of their own; it is None afterwards.
     """
 
     front: Lens = FisheyeCamera(fov=190.0)
     back: Lens = FisheyeCamera(fov=190.0)
     second: tuple[str, str] | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.fov is not None:  # a cone around the front's axis would cut the back lens off
+            for name in ("front", "back"):
+                object.__setattr__(self, name, replace(getattr(self, name), fov=self.fov))
+            object.__setattr__(self, "fov", None)
 
     def to_image(self, rays: Array, size: ImageSize) -> Array:
         """Return the pixels (..., 2) of unit rays (..., 3) in the camera's frame; NaN for those that are not shown."""

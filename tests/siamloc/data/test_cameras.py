@@ -166,6 +166,14 @@ def test_each_direction_is_taken_from_the_nearer_lens():
     np.testing.assert_array_equal(shown, (angle <= 95) | (angle >= 150))
 
 
+def test_the_field_of_view_of_two_lenses_is_that_of_each():
+    camera = DualFisheyeCamera(fov=195)
+    assert camera == DualFisheyeCamera(*[FisheyeCamera(fov=195)] * 2)
+    assert np.isfinite(camera.project(directions(), WHOLE)).all()
+    assert Preprocessing.checked((16, 64), {"kind": "dual_fisheye", "fov": 195}).camera == camera
+    assert DualFisheyeCamera.of(camera.plain()) == camera
+
+
 def test_two_pictures_of_two_lenses_are_read_as_one(tmp_path):
     whole = picture(DualFisheyeCamera(), (64, 128))
     for name, half in (("a_00_1.png", whole[:, :64]), ("a_10_1.png", whole[:, 64:])):
