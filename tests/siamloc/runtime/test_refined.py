@@ -291,6 +291,15 @@ def test_poses_that_are_map_frames_are_followed_as_by_the_sequence_filter(known,
     assert localizer.locate(PICTURES[0], tracker).x == found[0].x
 
 
+@pytest.mark.parametrize("frames", [1, 3])
+def test_a_map_of_a_single_place_does_not_say_how_certain_it_is(network, known, tmp_path, frames):
+    there = known.take(np.arange(frames))
+    there = replace(there, frames=there.frames.with_columns(x=np.ones(frames), y=np.ones(frames)))
+    localizer = Localizer(export(network, there, tmp_path / "there").path)
+    found = localizer.locate(PICTURES[0], localizer.tracker())
+    assert (found.x, found.y, found.covariance) == (1, 1, None)
+
+
 def test_a_map_without_positions_follows_nobody(known, plain, tmp_path):
     unknown = np.full(len(known), np.nan)
     bare = replace(known, frames=known.frames.with_columns(x=unknown, y=unknown))
