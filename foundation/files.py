@@ -360,7 +360,7 @@ def check_version(found: Any, present: int, what: str, again: str) -> None:
     if type(found) is not int or found != present:
         advice = "update siamloc" if type(found) is int and found > present else again
         kind = OldFormatError if type(found) is int and found < present else FormatError
-        raise kind(f"{what} has format version {found}, this siamloc reads version {present}: {advice}")
+        raise kind(f"{what} has format version {found!r}, this siamloc reads version {present}: {advice}")
 
 
 def plain(value: Any) -> Any:

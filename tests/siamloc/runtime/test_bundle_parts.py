@@ -261,6 +261,7 @@ def test_altered_descriptions_are_refused(bundle, key, value):
     ("changed", "says"),
     [
         ({"version": 1}, "has format version 1, this siamloc reads version 4: export again"),
+        ({"version": "4"}, "has format version '4', this siamloc reads version 4: export again"),
         ({"sha256": {}}, "lists no model.onnx"),
     ],
 )
