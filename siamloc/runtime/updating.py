@@ -23,6 +23,7 @@ from siamloc.maps.buildings import buildings_of, nearest
 from siamloc.maps.checked_arrays import check_placed
 from siamloc.maps.history import UPKEEP
 from siamloc.maps.maintenance import Maintenance, Update, updated
+from siamloc.maps.thinning import Budget, thin
 from siamloc.runtime import bundle as files
 from siamloc.runtime.collecting import SINCE, collected
 from siamloc.runtime.describing import coarse_map
@@ -41,7 +42,7 @@ def update(bundle: str | Path, folder: str | Path, *, settings: Maintenance = OF
     the refinement stay as they were learned. The old bundle is replaced only once the new one is complete and was
     opened. Pictures that the map counted before are left out; those that came since count as another drive. A frame
     that joins gets the room of the nearest map frame, and a path from the folder on. A drive that cannot update the map
-    is left out with a warning.
+    is left out with a warning. Without any drive, the map is not thinned to its budget.
 
     Args:
         bundle: folder of the bundle.
@@ -96,6 +97,8 @@ def update(bundle: str | Path, folder: str | Path, *, settings: Maintenance = OF
         logger.warning("%s; left out", fault)
     if updates:
         parts.write(Path(bundle), known, built)
+    elif len(thin(known, settings=settings.narrowed(Budget)).known) < len(known):
+        logger.warning("the map keeps %d frames, more than its budget: the next drive thins it", len(known))
     return updates
 
 

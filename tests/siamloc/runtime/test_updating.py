@@ -295,7 +295,7 @@ def test_pictures_that_cannot_be_read_are_left_out(bundle, tmp_path, caplog):
     assert "1 of 1 pictures cannot be used" in caplog.text
 
 
-def test_pictures_taken_after_an_update_count_too(bundle, tmp_path):
+def test_pictures_taken_after_an_update_count_too(bundle, tmp_path, caplog):
     collector = Collector(tmp_path / "seen")
     pictures, frames = drive(1)
     early, late = (slice(None, 12), slice(12, None))
@@ -306,6 +306,9 @@ def test_pictures_taken_after_an_update_count_too(bundle, tmp_path):
     assert [*first.drive.path, *second.drive.path] == _from(collector.folder, whole.path)
     assert len(Localizer(bundle).map) > len(first.known)
     assert update(bundle, collector.folder) == []
+    assert "budget" not in caplog.text
+    assert update(bundle, collector.folder, frames=5) == []
+    assert f"keeps {len(second.known)} frames, more than its budget: the next drive thins it" in caplog.text
 
 
 def test_a_drive_that_cannot_update_the_map_keeps_no_other_from_it(bundle, tmp_path, caplog):
