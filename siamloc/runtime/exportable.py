@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os.path
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from analytic import Descriptor, Fused
-from foundation.files import older_folder, plain
+from foundation.files import older_folder, plain, real_path
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable, check_units
 from siamloc.errors import ConfigError, FormatError
@@ -23,11 +24,16 @@ if TYPE_CHECKING:
 
 
 def check_replaceable(path: Path) -> None:
-    """Check that the path does not exist, or is an empty folder, or holds an older bundle and nothing else."""
+    """Check that the path does not exist, or is an empty folder, or holds an older bundle and nothing else.
+
+    A mount point cannot be replaced, even if it is empty.
+    """
     if not path.exists():
         return
     if not path.is_dir():
         raise ConfigError(f"{path} is a file: name a folder for the bundle")
+    if os.path.ismount(real_path(path)):
+        raise ConfigError(f"{path} is a mount point, which a bundle cannot replace: mount the folder above it")
     names = {file.name for file in path.iterdir()}
     others = sorted(names - {files.DESCRIPTION, *files.PARTS})
     if others or (names and files.DESCRIPTION not in names):

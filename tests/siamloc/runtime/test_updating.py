@@ -408,6 +408,14 @@ def test_an_update_keeps_the_users_files_in_the_folder_of_the_bundle(bundle, tmp
     assert (bundle / "NOTES.txt").read_text() == "hi"
 
 
+def test_a_mount_point_is_refused_before_any_picture_is_read(bundle, tmp_path):
+    with (
+        patch("os.path.ismount", lambda path: path == bundle.resolve()),
+        pytest.raises(ConfigError, match=r"bundle is a mount point, .*: mount the folder above it"),
+    ):
+        update(bundle, tmp_path / "nowhere")
+
+
 def test_what_cannot_be_collected_or_updated_is_refused(bundle, tmp_path):
     with pytest.raises(DataError, match="nowhere is not a folder"):
         update(bundle, tmp_path / "nowhere")
