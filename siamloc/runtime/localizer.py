@@ -102,7 +102,9 @@ class Localizer:
         self._top = top
         read_whole(bundle_path, partial(self._read, bundle_path, camera, threads, providers, hierarchical))
         self._placed = self.map.placed() if self.map.frames.has_position.any() else None
-        self._rooms = room_names(self.map.frames)[0]
+        self._rooms, building = room_names(self.map.frames)[0], self.map.frames.building
+        if len(set(building.tolist()) - {""}) > 1:
+            self._rooms = np.where(self._rooms == "", building, self._rooms)
         self._placed_rooms = self._rooms[self.map.frames.has_position]
         network = self._network
         self._compare = network.compare if network is not None and network.compares else None

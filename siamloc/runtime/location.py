@@ -15,7 +15,7 @@ class Candidate:
         image: the map frame's file, as named in the map.
         x: position, in the unit of the map; NaN if unknown.
         y: position, as x.
-        room: room of the map frame, or "".
+        room: room of the map frame, as in `Location`.
         distance: descriptor distance from the image.
         row: row in the map, -1 if unknown; `Bundle.thumbnail` returns its thumbnail if the bundle holds any.
     """
@@ -38,9 +38,10 @@ class Location:
         y: position, as x.
         theta: heading in rad in (-pi, pi], counter-clockwise; NaN if the bundle gives no headings, or if the heading of
             the nearest map frame is unknown.
-        room: room of the map frame that looks most like the image, or "", with the building before it, as in
-            "top/office", if the map has several; if a coarse layer is searched first, room of
-            the nearest map frame; with a `SequenceFilter`, room of the map frame where the robot is tracked.
+        room: room of the map frame that looks most like the image, or "". If the map has several buildings, with the
+            building before it, as in "top/office", or the building alone, "top", where the frame has no room. If a
+            coarse layer is searched first, room of the nearest map frame; with a `SequenceFilter`, room of the map
+            frame where the robot is tracked.
         error_m: expected error of x and y in their unit, metres by default; NaN if the bundle holds no error model, or
             if the image shows nothing of what the map shows. In a surveyed map it is the distance to where the map has
             this place, which may itself be off.

@@ -64,6 +64,25 @@ def test_theta_and_error_are_those_of_the_evaluation(world, bundle):
     assert {len(location.candidates) for location in locations} == {2}
 
 
+def test_where_frames_have_no_room_the_robot_is_told_its_building_if_there_are_several(tmp_path):
+    hog = analytic.descriptor("hog", rows=4)
+    known = mapped(hog)
+
+    def told(name, **columns):
+        frames = known.frames.with_columns(**columns)
+        localizer = Localizer(export(hog, replace(known, frames=frames), tmp_path / name).path, top=1)
+        found = [
+            localizer.locate(drive(0)[0][row], tracker) for row in (0, -1) for tracker in (None, localizer.tracker())
+        ]
+        assert [one.room for one in found] == [one.candidates[0].room for one in found]
+        return [one.room for one in found[::2]]
+
+    two = np.repeat(["up", "down"], 12)
+    assert told("bare", building=two, room=[""] * 24) == ["up", "down"]
+    assert told("half", building=two, room=np.where(two == "up", "", "lab")) == ["up", "down/lab"]
+    assert told("one", building=["up"] * 24, room=[""] * 24) == ["", ""]
+
+
 def test_turning_the_robot_turns_theta_alone(bundle):
     localizer, picture = Localizer(bundle), drive(0)[0][5]
     straight = localizer.locate(picture)
