@@ -72,15 +72,15 @@ def restored(
         write: sets it.
     """
     with _LOCK:
-        found = [(owner, read(owner)) for owner in owners]
-        for owner, value in found:
-            _BEFORE.setdefault(id(owner), [value, 0])[1] += 1
+        found = {id(owner): (owner, read(owner)) for owner in owners}
+        for key, (_, value) in found.items():
+            _BEFORE.setdefault(key, [value, 0])[1] += 1
     try:
         yield
     finally:
         with _LOCK:
-            for owner, _ in found:
-                _BEFORE[id(owner)][1] -= 1
-            ended = [(owner, _BEFORE.pop(id(owner))[0]) for owner, _ in found if not _BEFORE[id(owner)][1]]
+            for key in found:
+                _BEFORE[key][1] -= 1
+            ended = [(owner, _BEFORE.pop(key)[0]) for key, (owner, _) in found.items() if not _BEFORE[key][1]]
             for owner, value in ended:
                 write(owner, value)

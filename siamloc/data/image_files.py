@@ -43,7 +43,7 @@ def image_files(folder: Path, second: tuple[str, str] | None = None) -> list[Pat
         second: how the names of second pictures differ, which are left out; see `DualFisheyeCamera`.
     """
     suffixes = {".jpeg", ".jpg", ".png", ".bmp", ".ppm", ".tif", ".tiff", ".webp"}
-    shown = (path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
+    shown = (path for path in folder.iterdir() if not path.name.startswith("."))
     files = sorted((path for path in shown if path.suffix.lower() in suffixes and path.is_file()), key=by_numbers)
     if second is None:
         return files
@@ -57,7 +57,7 @@ def pictures_not_read(folder: Path) -> list[str]:
     Hidden files are left out, and those that have the name of an image file but for the suffix, which shows the same.
     """
     read = {path.stem for path in image_files(folder)}
-    shown = (path for path in folder.iterdir() if not path.name.startswith("."))
+    shown = (path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
     return sorted(path.name for path in shown if advice([path.name]) and path.stem not in read)
 
 

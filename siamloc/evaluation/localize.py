@@ -209,13 +209,13 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
         searches["room_retrieval"] = search
     bare = np.flatnonzero(~queries.has_position)
     if main and len(bare) and known.frames.has_position.any():
+        along = settings if "absolute" in searches else unfiltered
         try:
             inside = known.placed()
             excluded = session.protocol.excluded(queries.take(bare), inside.frames)
-            along = settings if "absolute" in searches else unfiltered
             searches["located"] = prepared(along, Search(inside, bare, 1, excluded=excluded))
         except DataError as error:  # without positions along the drive, near frames cannot be left out
-            skipped["located"] = f"{error}{'; the filter is without them, too' * settings.filter}"
+            skipped["located"] = f"{error}{'; the filter is without them, too' * along.filter}"
     if not searches:
         raise DataError(f"nothing could be measured: {'; '.join(skipped.values())}")
     clock = Stopwatch()

@@ -266,10 +266,13 @@ def check_excluded(excluded: ArrayLike, shape: tuple[int, ...], k: int) -> NDArr
 
 
 def array_of(given: Any) -> NDArray:
-    """Return an array, or a tensor on any device and of any type, as an array; bfloat16 becomes float32."""
+    """Return an array, or a tensor on any device, as an array, in float32 if numpy lacks its type, as bfloat16."""
     if hasattr(given, "detach"):
         given = given.detach().cpu()
-        given = (given.float() if given.is_floating_point() and given.itemsize < 4 else given).numpy()
+        try:
+            given = given.numpy()
+        except TypeError:
+            given = given.float().numpy()
     return np.asarray(given)
 
 

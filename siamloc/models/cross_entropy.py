@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import index
 
 import torch
 import torch.nn.functional as F
@@ -67,7 +68,7 @@ class CrossEntropyLoss(nn.Module):
         self.rooms = tuple(rooms)
         self.layer = nn.utils.skip_init(nn.Linear, width, len(rooms))
         with torch.no_grad():
-            self.layer.weight.normal_(std=width**-0.5, generator=torch.Generator().manual_seed(int(seed)))
+            self.layer.weight.normal_(std=width**-0.5, generator=torch.Generator().manual_seed(index(seed)))
             self.layer.bias.zero_()
 
     def forward(self, descriptors: Tensor, origins: Origins) -> Tensor:

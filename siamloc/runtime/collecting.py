@@ -29,6 +29,7 @@ _AGREEMENT = 0.5  # least agreement on a pose about which nothing else is known
 _APART, _TURNED = 0.1, math.radians(20)  # by how much pictures differ, in the unit of the map and in rad
 _ELSEWHERE = 1.0  # farther than that apart are two places, in the unit of the map
 _PROVEN = 5.0  # way after which a tracker that leapt against the wheels counts as right, in the unit of the map
+_WRONG_WHEELS = 3  # steps in a row against the wheels from which on these are not believed
 _WAITING = 200  # largest number of pictures in memory
 
 
@@ -39,8 +40,8 @@ class Collector:
     most 0.25, however exact the map is, and it is recognized there. It is taken at least 0.1 or 20 degrees away from
     the one before. A picture that only the tracker of a robot locates waits in memory until a later picture is
     recognized where the tracker has the robot; it is dropped if the tracker was wrong, or if the drive ends before.
-    Where the tracker leaps to another place and the wheels know of no such way, all pictures wait until it has followed
-    the robot for 5 without another leap.
+    Where a tracker of refined poses leaps to another place and the wheels know of no such way, all pictures wait until
+    it has followed the robot for 5 without another leap, unless three steps in a row show that the wheels are wrong.
 
     Args:
         folder: the folder, with a folder for each drive.
@@ -68,6 +69,7 @@ class Collector:
             self._before: NamedPose | None = None
             self._last: NamedPose | None = None
             self._way = math.inf  # since the tracker leapt against the wheels
+            self._against = 0  # steps in a row that are such leaps
             self._waiting.clear()
 
     def take(
@@ -95,12 +97,17 @@ class Collector:
         with self._lock:
             pose = NamedPose(self._since + time.monotonic(), *place)
             before, self._before = self._before or pose, pose
-            told = math.nan if motion is None else math.hypot(*np.asarray(motion, dtype=np.float64)[:2])
-            step = math.hypot(pose.x - before.x, pose.y - before.y)
-            self._way += step
-            if abs(step - (0.0 if math.isnan(told) else told)) > _ELSEWHERE:
+            step, told = math.hypot(pose.x - before.x, pose.y - before.y), math.nan
+            if motion is not None and not math.isnan(location.agreement):  # else a tracker steps from frame to frame
+                told = math.hypot(*np.asarray(motion, dtype=np.float64)[:2])
+            driven = not math.isnan(told)
+            if abs(step - (told if driven else 0.0)) <= _ELSEWHERE:
+                self._against, self._way = 0, self._way + (min(step, told) if driven else step)
+            else:
                 self._waiting.clear()  # the tracker was wrong
-                self._way = self._way if math.isnan(told) else 0.0
+                self._against += driven
+                if driven:
+                    self._way = 0.0 if self._against < _WRONG_WHEELS else math.inf
             recognized = _recognized(location, tracked) and self._way >= _PROVEN
             if not _certain(location, map_variance) or not (
                 recognized or (tracked and not shows_nothing(panorama[None])[0])

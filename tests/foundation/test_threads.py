@@ -66,6 +66,6 @@ def test_a_block_that_cannot_begin_changes_nothing_for_the_next():
 
     with pytest.raises(AttributeError), block([owner, object()]):
         pass
-    with block([owner]):
+    with block([owner, owner]):
         owner.value = 5
     assert owner.value == 1

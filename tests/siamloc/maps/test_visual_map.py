@@ -130,6 +130,13 @@ def test_queries_may_be_tensors(dtype) -> None:
     assert known.search(query).indices.tolist() == [[1]]
 
 
+@pytest.mark.parametrize("dtype", [torch.float16, torch.float32])
+def test_orientation_parts_may_be_tensors_whose_precision_stays(dtype) -> None:
+    parts = torch.ones(2, 2, 2, dtype=dtype, requires_grad=True)
+    known = VisualMap(np.eye(2), FrameTable(path=["a.png", "b.png"]), orientation=parts)
+    assert known.orientation.dtype.name == str(dtype).removeprefix("torch.")
+
+
 def test_tensors_of_float64_are_searched_in_float64() -> None:
     near = torch.tensor([[0.0], [1e-9], [2e-9]], dtype=torch.float64) + 1
     assert VectorIndex(near).search(near[2:], 3).indices.tolist() == [[2, 1, 0]]

@@ -120,16 +120,22 @@ def test_pictures_that_the_tracker_alone_locates_wait_until_a_recognized_one_con
 def test_pictures_after_a_leap_against_the_wheels_wait_until_the_robot_was_followed_for_a_while(tmp_path):
     collector, picture = Collector(tmp_path), np.arange(96, dtype=np.uint8).reshape(3, 4, 8)
 
-    def take(x, motion):
-        collector.take(picture, located(x, agreement=0.9), tracked=True, motion=motion)
+    def take(x, ahead, agreement=0.9):
+        where = located(x, agreement=agreement, candidates=(Candidate("", x, 0.0, "", 0.0),))
+        collector.take(picture, where, tracked=True, motion=None if ahead is None else (ahead, 0, 0))
         return [pose.x for _, pose in _pictures(tmp_path)]
 
-    assert take(0, motion=None) == [0]
-    assert take(2, motion=(2, 0, 0)) == [0, 2], "a long way, but the wheels know it"
-    assert take(9, motion=(0.5, 0, 0)) == take(9.5, motion=(0.5, 0, 0)) == [0, 2]
-    assert take(3, motion=(0.5, 0, 0)) == take(4.5, motion=(1.5, 0, 0)) == [0, 2], "and what lay between is dropped"
-    assert take(6.5, motion=(np.nan, 0, 0)) == take(7.5, motion=(1, 0, 0)) == [0, 2]
-    assert take(8.5, motion=(1, 0, 0)) == [0, 2, 6.5, 7.5, 8.5]
+    assert take(0, None) == [0]
+    assert take(2, 2) == [0, 2], "a long way, but the wheels know it"
+    assert take(9, 0.5) == take(9.5, 0.5) == [0, 2]
+    assert take(3, 0.5) == take(4.5, 1.5) == [0, 2], "and what lay between is dropped"
+    assert take(4.7, 0) == take(5.5, 0) == take(5.9, np.nan) == take(7.4, 1.5) == [0, 2], "trembling is no way"
+    assert take(9.4, 2) == [0, 2, 3, 4.5, 4.7, 5.5, 5.9, 7.4, 9.4]
+    assert take(12, 0) == take(14, 0)
+    assert take(16, 0)[-1] == 16, "the wheels are wrong"
+    collector.begin()
+    assert take(20, None)[-1] == 20
+    assert take(22, 0.5, np.nan)[-1] == 22, "a tracker that steps from frame to frame"
 
 
 def test_times_rise_within_a_drive_though_the_clock_is_set_back(bundle, tmp_path):
