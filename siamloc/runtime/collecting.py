@@ -28,8 +28,7 @@ _CERTAIN = 0.25  # largest standard deviation of a position, in the unit of the 
 _AGREEMENT = 0.5  # least agreement on a pose about which nothing else is known
 _APART, _TURNED = 0.1, math.radians(20)  # by how much pictures differ, in the unit of the map and in rad
 _ELSEWHERE = 1.0  # farther than that apart are two places, in the unit of the map
-_PROVEN = 5.0  # way after which a tracker that leapt against the wheels counts as right, in the unit of the map
-_WRONG_WHEELS = 3  # steps in a row against the wheels from which on these are not believed
+_PROVEN = 3.0  # how far from where it moved otherwise than the wheels a tracker counts as right again, in that unit
 _WAITING = 200  # largest number of pictures in memory
 
 
@@ -40,8 +39,7 @@ class Collector:
     most 0.25, however exact the map is, and it is recognized there. It is taken at least 0.1 or 20 degrees away from
     the one before. A picture that only the tracker of a robot locates waits in memory until a later picture is
     recognized where the tracker has the robot; it is dropped if the tracker was wrong, or if the drive ends before.
-    Where a tracker of refined poses leaps to another place and the wheels know of no such way, all pictures wait until
-    it has followed the robot for 5 without another leap, unless three steps in a row show that the wheels are wrong.
+    Where the tracker moves otherwise than the wheels by more than 1, all pictures wait until it is 3 away from there.
 
     Args:
         folder: the folder, with a folder for each drive.
@@ -68,8 +66,9 @@ class Collector:
             self._since = time.time() - time.monotonic()  # so that times rise within a drive, whatever sets the clock
             self._before: NamedPose | None = None
             self._last: NamedPose | None = None
-            self._way = math.inf  # since the tracker leapt against the wheels
-            self._against = 0  # steps in a row that are such leaps
+            self._leapt: NamedPose | None = (
+                None  # to where the tracker leapt against the wheels, until it counts as right
+            )
             self._waiting.clear()
 
     def take(
@@ -96,26 +95,23 @@ class Collector:
             return None
         with self._lock:
             pose = NamedPose(self._since + time.monotonic(), *place)
-            before, self._before = self._before or pose, pose
-            step, told = math.hypot(pose.x - before.x, pose.y - before.y), math.nan
-            if motion is not None and not math.isnan(location.agreement):  # else a tracker steps from frame to frame
-                told = math.hypot(*np.asarray(motion, dtype=np.float64)[:2])
-            driven = not math.isnan(told)
-            if abs(step - (told if driven else 0.0)) <= _ELSEWHERE:
-                self._against, self._way = 0, self._way + (min(step, told) if driven else step)
-            else:
+            before, self._before = self._before, pose
+            step = 0.0 if before is None else _apart(before, pose)
+            told = math.nan if before is None or motion is None else math.hypot(*np.asarray(motion, dtype=float)[:2])
+            if abs(step - (0.0 if math.isnan(told) else told)) > _ELSEWHERE:
                 self._waiting.clear()  # the tracker was wrong
-                self._against += driven
-                if driven:
-                    self._way = 0.0 if self._against < _WRONG_WHEELS else math.inf
-            recognized = _recognized(location, tracked) and self._way >= _PROVEN
+                if not math.isnan(told) and (self._leapt is None or step > _PROVEN):
+                    self._leapt = pose
+            if self._leapt is not None and _apart(self._leapt, pose) >= _PROVEN:
+                self._leapt = None
+            recognized = _recognized(location, tracked) and self._leapt is None
             if not _certain(location, map_variance) or not (
                 recognized or (tracked and not shows_nothing(panorama[None])[0])
             ):
                 return None
             if self._last is not None:
                 turned = abs(math.remainder(pose.theta - self._last.theta, 2 * math.pi))
-                if math.hypot(pose.x - self._last.x, pose.y - self._last.y) < _APART and turned < _TURNED:
+                if _apart(self._last, pose) < _APART and turned < _TURNED:
                     return None
             self._last = pose
             self._waiting.append((pose, panorama.copy()))
@@ -137,6 +133,10 @@ class Collector:
             with storage_errors(oldest):
                 oldest.unlink(missing_ok=True)
         return path
+
+
+def _apart(one: NamedPose, other: NamedPose) -> float:
+    return math.hypot(one.x - other.x, one.y - other.y)
 
 
 def _certain(location: Location, map_variance: float) -> bool:

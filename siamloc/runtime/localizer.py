@@ -280,7 +280,7 @@ class Localizer:
             # A frame stands for all places up to half a spacing from it, in either direction.
             of_map = tracker.motion.spacing**2 / 12
             variance = tracker.spread(row) ** 2 / 2 + of_map
-            if variance:  # without any spacing nobody knows how large the place of a frame is
+            if of_map:  # without any spacing nobody knows how large the place of a frame is
                 covariance = ((variance, 0.0), (0.0, variance))
         elif pose is not None or (tracker is not None and motion is not None):
             pose = _NOWHERE if pose is None else pose
@@ -304,7 +304,8 @@ class Localizer:
             agreement=math.nan if pose is None else float(pose.agreement[0]),
         )
         if self._collector is not None:
-            self._collector.take(panorama, location, tracker is not None, of_map, motion)
+            told = None if isinstance(tracker, SequenceFilter) else motion  # which goes from frame to frame
+            self._collector.take(panorama, location, tracker is not None, of_map, told)
         return location
 
     @typed

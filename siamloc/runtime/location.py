@@ -51,9 +51,9 @@ class Location:
         candidates: the map frames that resemble the image most, nearest first.
         ms: total time for preparing, describing, searching and all estimates, in milliseconds.
         covariance: covariance ((xx, xy), (xy, yy)) of x and y, in their squared unit; None if unknown, as of a pose
-            that is not refined in a map of a single place. That of a refined pose contains the deviations of a surveyed
-            map, which `error_m` does not. If `lost` is true, it is meaningless: it is the covariance of a pose in the
-            map.
+            that is not refined in a map whose drives have one place each. That of a refined pose contains the
+            deviations of a surveyed map, which `error_m` does not. If `lost` is true, it is meaningless: it is the
+            covariance of a pose in the map.
         agreement: share of the examined map frames that agree on a refined pose, from 0 to 1; NaN if the pose is not
             refined.
     """

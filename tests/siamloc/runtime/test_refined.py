@@ -300,14 +300,6 @@ def test_a_map_of_a_single_place_does_not_say_how_certain_it_is(network, known, 
     assert (found.x, found.y, found.covariance) == (1, 1, None)
 
 
-def test_a_map_of_scattered_places_says_how_certain_it_is(network, known, tmp_path):
-    there = known.take(np.arange(0, len(known), 2))
-    there = replace(there, frames=there.frames.with_columns(sequence=[str(row) for row in range(len(there))]))
-    localizer = Localizer(export(network, there, tmp_path / "there").path)
-    (xx, _), (_, yy) = localizer.locate(PICTURES[0], localizer.tracker()).covariance
-    assert xx > 0 < yy
-
-
 def test_a_map_without_positions_follows_nobody(known, plain, tmp_path):
     unknown = np.full(len(known), np.nan)
     bare = replace(known, frames=known.frames.with_columns(x=unknown, y=unknown))

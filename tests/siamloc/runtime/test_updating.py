@@ -117,25 +117,28 @@ def test_pictures_that_the_tracker_alone_locates_wait_until_a_recognized_one_con
     assert take(8.3, lost=None, agreement=math.nan, candidates=(far,)) == [0, 0.2, 0.6, 7, 8.1, 8.3]
 
 
-def test_pictures_after_a_leap_against_the_wheels_wait_until_the_robot_was_followed_for_a_while(tmp_path):
-    collector, picture = Collector(tmp_path), np.arange(96, dtype=np.uint8).reshape(3, 4, 8)
+def test_pictures_where_the_tracker_moves_otherwise_than_the_wheels_wait_until_the_robot_is_away_from_there(tmp_path):
+    picture = np.arange(96, dtype=np.uint8).reshape(3, 4, 8)
 
-    def take(x, ahead, agreement=0.9):
-        where = located(x, agreement=agreement, candidates=(Candidate("", x, 0.0, "", 0.0),))
-        collector.take(picture, where, tracked=True, motion=None if ahead is None else (ahead, 0, 0))
-        return [pose.x for _, pose in _pictures(tmp_path)]
+    def kept(*steps):
+        collector = Collector(tmp_path / str(len(list(tmp_path.iterdir()))))
+        for x, ahead in steps:
+            motion = None if ahead is None else (ahead, 0, 0)
+            collector.take(picture, located(x, agreement=0.9), tracked=True, motion=motion)
+        return [round(pose.x, 1) for _, pose in _pictures(collector.folder)]
 
-    assert take(0, None) == [0]
-    assert take(2, 2) == [0, 2], "a long way, but the wheels know it"
-    assert take(9, 0.5) == take(9.5, 0.5) == [0, 2]
-    assert take(3, 0.5) == take(4.5, 1.5) == [0, 2], "and what lay between is dropped"
-    assert take(4.7, 0) == take(5.5, 0) == take(5.9, np.nan) == take(7.4, 1.5) == [0, 2], "trembling is no way"
-    assert take(9.4, 2) == [0, 2, 3, 4.5, 4.7, 5.5, 5.9, 7.4, 9.4]
-    assert take(12, 0) == take(14, 0)
-    assert take(16, 0)[-1] == 16, "the wheels are wrong"
-    collector.begin()
-    assert take(20, None)[-1] == 20
-    assert take(22, 0.5, np.nan)[-1] == 22, "a tracker that steps from frame to frame"
+    right = [(0, 2), (2, 2), (4, 2.5)]
+    assert kept(*right) == [0, 2, 4], "a long way, but the wheels know it"
+    there = [(13, 0.5), *((13 + 0.5 * (way % 2), 0) for way in range(20))]
+    assert kept(*right, *there) == [0, 2, 4], "trembling is no way"
+    back = [(5, 0.5), (6, 1), (7, np.nan)]
+    assert kept(*right, *there, *back) == [0, 2, 4], "what lies between two leaps is dropped"
+    assert kept(*right, *there, *back, (8, 1)) == [0, 2, 4, 5, 6, 7, 8]
+    assert kept(*right, *there, *there) == [0, 2, 4]
+    dead = [(0.5 * way, 0) for way in range(20)]
+    assert kept(*dead) == [x for x, _ in dead]
+    assert kept((0, 0), (1.5, 0), *((1.5 + x, 0) for x, _ in dead[1:]))[:3] == [0, 1.5, 2], "wheels that say nothing"
+    assert kept(*((2 * x, None) for x, _ in dead)) == [2 * x for x, _ in dead], "without wheels"
 
 
 def test_times_rise_within_a_drive_though_the_clock_is_set_back(bundle, tmp_path):
