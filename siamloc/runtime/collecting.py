@@ -98,9 +98,10 @@ class Collector:
             before, self._before = self._before, pose
             step = 0.0 if before is None else _apart(before, pose)
             told = math.nan if before is None or motion is None else math.hypot(*np.asarray(motion, dtype=float)[:2])
-            if abs(step - (0.0 if math.isnan(told) else told)) > _ELSEWHERE:
+            leap = abs(step - (0.0 if math.isnan(told) else told))
+            if leap > _ELSEWHERE:
                 self._waiting.clear()  # the tracker was wrong
-                if not math.isnan(told) and (self._leapt is None or step > _PROVEN):
+                if not math.isnan(told) and (self._leapt is None or leap > _PROVEN):
                     self._leapt = pose
             if self._leapt is not None and _apart(self._leapt, pose) >= _PROVEN:
                 self._leapt = None
