@@ -28,7 +28,9 @@ _CERTAIN = 0.25  # largest standard deviation of a position, in the unit of the 
 _AGREEMENT = 0.5  # least agreement on a pose about which nothing else is known
 _APART, _TURNED = 0.1, math.radians(20)  # by how much pictures differ, in the unit of the map and in rad
 _ELSEWHERE = 1.0  # farther than that apart are two places, in the unit of the map
+_SLIP = 0.2  # share of their way by which wheels may be wrong
 _PROVEN = 3.0  # how far from where it moved otherwise than the wheels a tracker counts as right again, in that unit
+_FOLLOWED = 9.0  # and after which way along the wheels
 _WAITING = 200  # largest number of pictures in memory
 
 
@@ -39,7 +41,8 @@ class Collector:
     most 0.25, however exact the map is, and it is recognized there. It is taken at least 0.1 or 20 degrees away from
     the one before. A picture that only the tracker of a robot locates waits in memory until a later picture is
     recognized where the tracker has the robot; it is dropped if the tracker was wrong, or if the drive ends before.
-    Where the tracker moves otherwise than the wheels by more than 1, all pictures wait until it is 3 away from there.
+    Where the tracker moves otherwise than the wheels, by more than 1 and a fifth of their way, all pictures wait until
+    it is 3 away from there, or has followed the wheels for 9.
 
     Args:
         folder: the folder, with a folder for each drive.
@@ -69,6 +72,8 @@ class Collector:
             self._leapt: NamedPose | None = (
                 None  # to where the tracker leapt against the wheels, until it counts as right
             )
+            self._way = 0.0  # along the wheels since then
+            self._gap = True  # whether the wheels' last motion does not lead here from the picture before
             self._waiting.clear()
 
     def take(
@@ -91,19 +96,23 @@ class Collector:
             motion: how the robot moved since the picture before, as for `Localizer.locate`; None or NaN if unknown.
         """
         place = location.x, location.y, location.theta if self.headings else 0.0
-        if not all(map(math.isfinite, place)):
-            return None
         with self._lock:
+            if not all(map(math.isfinite, place)):
+                self._gap = True
+                return None
             pose = NamedPose(self._since + time.monotonic(), *place)
             before, self._before = self._before, pose
             step = 0.0 if before is None else _apart(before, pose)
-            told = math.nan if before is None or motion is None else math.hypot(*np.asarray(motion, dtype=float)[:2])
-            leap = abs(step - (0.0 if math.isnan(told) else told))
-            if leap > _ELSEWHERE:
+            told = math.nan if self._gap or motion is None else math.hypot(*np.asarray(motion, dtype=float)[:2])
+            wheels, told, self._gap = not math.isnan(told), np.nan_to_num(told), False
+            leap = abs(step - told)
+            if leap > _ELSEWHERE + _SLIP * told:
                 self._waiting.clear()  # the tracker was wrong
-                if not math.isnan(told) and (self._leapt is None or leap > _PROVEN):
-                    self._leapt = pose
-            if self._leapt is not None and _apart(self._leapt, pose) >= _PROVEN:
+                if wheels and (self._leapt is None or leap > _PROVEN):
+                    self._leapt, self._way = pose, 0.0
+            else:
+                self._way += min(step, told)
+            if self._leapt is not None and (_apart(self._leapt, pose) >= _PROVEN or self._way >= _FOLLOWED):
                 self._leapt = None
             recognized = _recognized(location, tracked) and self._leapt is None
             if not _certain(location, map_variance) or not (

@@ -138,8 +138,10 @@ def test_pictures_where_the_tracker_moves_otherwise_than_the_wheels_wait_until_t
     dead = [(0.5 * way, 0) for way in range(20)]
     assert kept(*dead) == [x for x, _ in dead]
     assert kept((0, 0), (1.5, 0), *((1.5 + x, 0) for x, _ in dead[1:]))[:3] == [0, 1.5, 2], "wheels that say nothing"
-    slipping = kept(*((5.0 * row, 3.9) for row in range(20)))
-    assert len(slipping) > 8, "of a slow camera with bad wheels some are kept"
+    assert len(kept(*((10.0 * row, 9) for row in range(20)))) == 20, "wheels that slip"
+    room = [0.8 * (way % 3) for way in range(60)]
+    steps = [0.0, *(abs(one - other) for one, other in zip(room[1:], room, strict=False))]
+    assert len(kept((9, 0), *zip(room, steps, strict=True))) > 40, "a small room after a wrong first pose"
     assert kept(*((2 * x, None) for x, _ in dead)) == [2 * x for x, _ in dead], "without wheels"
 
 
